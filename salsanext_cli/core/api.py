@@ -15,10 +15,11 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample
 from salsanext_cli.core.fitting.scan_sample import ScanSample
+from salsanext_cli.core.geometry.sensor_frame import around
 from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import label_scan
 from salsanext_cli.core.labelling import LabelledScan
-from salsanext_cli.core.records import Double, Float, Scan
+from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN
 from salsanext_cli.core.uncertainty.error_features import knows_error
 
@@ -74,22 +75,20 @@ def scan_of_arrays(
         problem = f"an array {values.shape} of {values.dtype}"
         raise UsageError("intensity", problem, f"numbers ({len(coordinates)},), one per point")
     if origin is not None:
-        coordinates = _around(coordinates, np.asarray(origin))
+        position = np.asarray(origin)
+        _require_position(position)
+        coordinates = around(coordinates, position)
     # Numbers outside the range of float32 become infinite: no measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return Scan(coordinates.astype(np.float32), values.astype(np.float32))
 
 
-def _around(points: npt.NDArray[Any], origin: npt.NDArray[Any]) -> Double:
-    """Return points (N, 3) around an origin (3,); those at 0 are no measurements and stay."""
+def _require_position(origin: npt.NDArray[Any]) -> None:
+    """Refuse an array that is no position."""
     is_position = origin.shape == (3,) and origin.dtype.kind in "fiu"
     if not (is_position and np.isfinite(origin).all()):
         problem = f"is {origin.tolist()}"
         raise UsageError("origin", problem, "three numbers: the position of the sensor, in metres")
-    is_measured = (points != 0).any(axis=1, keepdims=True)
-    # In float64, because the numbers of a map are large.
-    around: Double = np.where(is_measured, points - origin.astype(np.float64), 0)
-    return around
 
 
 def around_sensor(network: Network) -> Network:

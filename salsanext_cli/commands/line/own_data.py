@@ -204,9 +204,9 @@ def pick(
     counts = ", ".join([numbers, *summary.skipped_and_failed_texts(picking.outcome)])
     output.print(f"pick: {counts} → {out}" if picking.picked else f"pick: {counts}")
     if labels is not None:
-        written_for = None if tool is None else tool_named(tool)
+        labelling_tool = None if tool is None else tool_named(tool)
         lines = lines_after_pick(
-            out, picking, labels, settings.weights, labelled or (), written_for
+            out, picking, labels, settings.weights, labelled or (), labelling_tool
         )
         for line in lines:
             output.print(line)

@@ -2,23 +2,20 @@
 """Stage `export-las`: scans as LAS or LAZ clouds with their classification and every value."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.classes.asprs import classes_without_code, names_of_codes
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.core.records import Origin, Scan
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import first_few, with_hint
-from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.survey.las_labels import LasLabels, labelled_las
-from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES, read_frames
+from salsanext_cli.runs.labelling.map_frames import digest_of_frames, frame_of, frames_beside
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import ExportLasSettings
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
 from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
@@ -40,8 +37,7 @@ class LasExport:
     classes: LabelSpace | None  # Classes into which predicted ones are merged
     labels: LabelSpace  # Meaning of the raw ids of the truth
     compressed: bool
-    # By name of the scan: the frame of its points in map coordinates, metres, beside the scans
-    frames: Mapping[str, Origin]
+    frames: Mapping[ScanFile, Origin]  # Of points in map coordinates, metres, beside the scans
 
     def __call__(self, file: ScanFile) -> None:
         """Write the cloud of a scan."""
@@ -57,16 +53,10 @@ class LasExport:
             raw=results.label,
             values={name: column for name, column in values.items() if name not in KEPT},
         )
-        scan = self._in_map(file, results.scan)
+        frame = frame_of(file, results.scan, self.frames)
+        scan = replace(results.scan, notes=replace(results.scan.notes, frame=frame))
         content = labelled_las(file.path, scan, labels, compressed=self.compressed)
         self.output.write(self.output.path(file, self.output.folders[0]), content)
-
-    def _in_map(self, file: ScanFile, scan: Scan) -> Scan:
-        """Return a scan with the frame beside it, unless its file states one."""
-        frame = self.frames.get(file.name, NO_SHIFT)
-        if scan.notes.frame != NO_SHIFT:
-            return scan
-        return replace(scan, notes=replace(scan.notes, frame=frame))
 
 
 def export_las(
@@ -101,10 +91,12 @@ def export_las(
     folder = "laz" if compressed else "las"
     stage = f"export-{folder}"
     settings = ExportLasSettings(
-        label_space=chosen.space, origins=results.manifest.origins(PREDICTION_STAGES)
+        label_space=chosen.space,
+        origins=results.manifest.origins(PREDICTION_STAGES),
+        frames=digest_of_frames(results.scans()),
     )
     earlier = results.manifest.settings(stage)
-    is_outdated = isinstance(earlier, ExportLasSettings) and earlier.origins != settings.origins
+    is_outdated = isinstance(earlier, ExportLasSettings) and not earlier.is_of_inputs_of(settings)
     run = output_run(
         out,
         stage,
@@ -122,23 +114,11 @@ def export_las(
             classes=query.classes,
             labels=chosen.labels,
             compressed=compressed,
-            frames=_frames_beside(chosen.scans),
+            frames=frames_beside(chosen.scans),
         )
         outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done, writes=[out])
     log.log(NOTICE, "classified: %s", out / "sequences/*" / folder)
     return replace(outcome, missing=chosen.missing)
-
-
-def _frames_beside(scans: Sequence[ScanFile]) -> dict[str, Origin]:
-    """Return the frames of scans that `pick` and `convert` moved out of map coordinates."""
-    folders = {scan.path.parent for scan in scans if scan.path.parent.name == SCAN_FOLDER}
-    paths = {folder: folder.with_name(FRAMES) for folder in folders}
-    frames = {folder: read_frames(path) for folder, path in paths.items() if present(path)}
-    return {
-        scan.name: frames[scan.path.parent][scan.stem]
-        for scan in scans
-        if scan.stem in frames.get(scan.path.parent, {})
-    }
 
 
 def _warn_about_codes(space: LabelSpace) -> None:

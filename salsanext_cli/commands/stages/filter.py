@@ -22,6 +22,7 @@ from salsanext_cli.io.formats.recording_kinds import kind_of
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
+from salsanext_cli.runs.labelling.map_frames import add_frames, frames_beside
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ERROR, PREDICTION_STAGES, ScanFile, with_outputs
@@ -101,6 +102,8 @@ def _filter_files(
     """Write files of scans without some points; add the numbers of their points to `written`."""
     paths = map(task.path, scans)
     task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
+    # First, so that an interrupted run leaves no scan without its frame.
+    add_frames(task.owned, frames_beside(scans))
 
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts

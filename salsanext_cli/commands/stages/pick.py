@@ -28,6 +28,7 @@ from salsanext_cli.io.labelling_tools.tool import LabellingTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
+from salsanext_cli.runs.labelling.map_frames import add_frames
 from salsanext_cli.runs.labelling.picked_data_set import (
     CHOSEN,
     NAMED,
@@ -146,7 +147,7 @@ def pick(
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
-            _write_for_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
+            _add_files_of_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
             with opened_events(options.events, 0):
                 return _picking(record, scans)
         resolved = settings.resolved(network)
@@ -162,7 +163,7 @@ def pick(
         task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
-        _write_for_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
+        _add_files_of_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
     return replace(_picking(record, scans), outcome=outcome)
 
 
@@ -321,7 +322,7 @@ def _written(
 
     outcome = run_over_scans(task, picked, options, on_result=add)
     # The data set is complete with its other files, so these come first.
-    data_set.write_frames(frames)
+    add_frames(data_set, frames)
     if len(pre_labels) == len(record.picked):
         # Existing files are not replaced, so incomplete poses would remain.
         data_set.write_poses(frames)
@@ -331,7 +332,7 @@ def _written(
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 
-def _write_for_tool(
+def _add_files_of_tool(
     data_set: PickedDataSet,
     tool: LabellingTool | None,
     record: PickRecord,

@@ -23,6 +23,17 @@ def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
     return scan if points is scan.points else replace(scan, points=points)
 
 
+def around(points: Double | Float, origin: Double) -> Double:
+    """Return points (N, 3) around an origin (3,), in metres.
+
+    Points at 0 are no measurements, and stay.
+    """
+    is_measured = (points != 0).any(axis=1, keepdims=True)
+    # In float64, because the numbers of a map are large.
+    moved: Double = np.where(is_measured, points - origin.astype(np.float64), 0)
+    return moved
+
+
 def without_ego(scan: Scan, sensor: Sensor) -> Scan:
     """Return the scan in the frame of the sensor, with the points of its vehicle at the origin."""
     scan = in_sensor_frame(scan, sensor)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.geometry.sensor_frame import around
 from salsanext_cli.core.poses import CALIBRATION, POSES, Poses
 from salsanext_cli.core.records import Scan
 from salsanext_cli.io.formats.kitti import encode_bin
@@ -38,7 +39,7 @@ class PointLabeler(LabellingTool):
         """
         points = scan.scan
         if scan.origin is not None:
-            seen_from_sensor = points.points.astype(np.float64) - np.array(scan.origin)
+            seen_from_sensor = around(points.points, np.array(scan.origin))
             points = replace(points, points=seen_from_sensor.astype(np.float32))
         stem = _stem_of_files(scan.stem)
         return {

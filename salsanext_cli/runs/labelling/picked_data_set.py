@@ -21,9 +21,10 @@ from salsanext_cli.io.files.reading import filled, fingerprint, present, reading
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
+from salsanext_cli.io.frames import FRAMES
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.labelling.label_records import IMPORTED
+from salsanext_cli.runs.labelling.map_frames import frame_of, frames_beside
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.layouts import SCAN_FOLDER, TOOL_FOLDER
 from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
@@ -136,11 +137,12 @@ class PickedDataSet(OwnedFolder):
     def write_points(self, file: ScanFile, sensor: Sensor) -> Origin:
         """Write a scan as `.bin`, with the intensity in its file; return the frame of its points.
 
-        The frame is a position in the coordinates of the file, in metres.
+        The frame is a position in the coordinates of the map, in metres, also if the file was
+        moved out of them before.
         """
         scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
         self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
-        return scan.notes.frame
+        return frame_of(file, scan, frames_beside([file]))
 
     def write_pre_labels(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
         """Record pre-labels of scans, and write those that are missing."""
@@ -161,16 +163,6 @@ class PickedDataSet(OwnedFolder):
         # Names of folders may not be text, which yaml escapes.
         text = yaml.safe_dump(described, sort_keys=False, allow_unicode=False)
         self.write_missing(self.root / LABEL_SPACE, text.encode())
-
-    def write_frames(self, frames: Mapping[ScanFile, Origin]) -> None:
-        """Write the frames of scans that were moved, beside those that are written already."""
-        ordered = sorted(scan for scan, frame in frames.items() if frame != NO_SHIFT)
-        for name, group in groupby(ordered, lambda scan: scan.sequence):
-            path = self.root / "sequences" / name / FRAMES
-            recorded = read_frames(path)
-            combined = {scan.stem: frames[scan] for scan in group} | recorded
-            if combined != recorded:
-                self.write(path, encode_frames(combined))
 
     def write_poses(self, frames: Mapping[ScanFile, Origin]) -> None:
         """Write poses and calibration of the sequences of picked scans, if known.

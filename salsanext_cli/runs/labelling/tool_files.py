@@ -2,7 +2,7 @@
 """Picked scans in the form of a labelling tool, in a folder of their data set."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -18,6 +18,8 @@ from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import filled, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
+from salsanext_cli.io.frames import FRAMES, read_frames
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.labelling_tools.tool import Files, LabelledPoints, LabellingTool
 from salsanext_cli.io.poses import pose_readings
@@ -80,7 +82,8 @@ def write_for_tool(
         stems = [scan.scan for scan in scans_of_sequence]
         poses = _poses(data_set.root / "sequences" / sequence / POSES, stems)
         if all(scan.name in origins for scan in scans_of_sequence):
-            poses = _translations([origins[scan.name] for scan in scans_of_sequence])
+            frames = read_frames(data_set.root / "sequences" / sequence / FRAMES)
+            poses = _in_map(scans_of_sequence, origins, frames)
         _write_current(data_set, folder, tool.sequence_files(sequence, stems, poses))
 
 
@@ -119,10 +122,17 @@ def _labelled(
     )
 
 
-def _translations(origins: Sequence[Origin]) -> Poses:
-    """Return poses (N, 4, 4) float64 without rotation."""
-    poses = np.tile(np.eye(4), (len(origins), 1, 1))
-    poses[:, :3, 3] = origins
+def _in_map(
+    scans: Sequence[PickedScan], origins: Mapping[str, Origin], frames: Mapping[str, Origin]
+) -> Poses:
+    """Return poses (N, 4, 4) float64 of the sensor in the map, without rotation.
+
+    `origins` are positions of the sensor in the frame of each scan, by its name, and `frames` are
+    those of the scans in the map, by stem. All are in metres.
+    """
+    poses = np.tile(np.eye(4), (len(scans), 1, 1))
+    for pose, scan in zip(poses, scans, strict=True):
+        pose[:3, 3] = np.add(origins[scan.name], frames.get(scan.scan, NO_SHIFT))
     return poses
 
 

@@ -144,6 +144,11 @@ class ExportLasSettings(StageSettings):
     """Settings of `export-las`; without compression, by which the stages of records differ."""
 
     origins: Mapping[str, str] | None = None  # Digests of the settings of earlier stages, by name
+    frames: str | None = None  # Digest of the frames in files beside the scans; None without any
+
+    def is_of_inputs_of(self, other: "ExportLasSettings") -> bool:
+        """Return whether both are of the same results and the same frames."""
+        return (self.origins, self.frames) == (other.origins, other.frames)
 
 
 def settings_type(stage: str) -> type[StageSettings]:

@@ -20,6 +20,7 @@ from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 laspy = pytest.importorskip("laspy")
 SPACE = label_space()
@@ -114,6 +115,16 @@ def test_scans_that_were_moved_out_of_a_map_are_written_in_it(predicted):
     in_map = read_scan(predicted.scan()).points + np.array(frame)
     np.testing.assert_allclose(cloud(predicted).xyz, in_map, atol=1e-4, rtol=0)
     np.testing.assert_array_equal(cloud(predicted, stem="000001").header.offsets, 0)
+
+
+def test_clouds_without_a_frame_are_written_again_once_it_is_known(predicted):
+    export_las(predicted.out)
+    path = predicted.scan().parent.with_name(FRAMES)
+    for x in (690_000.0, 680_000.0):
+        path.write_bytes(encode_frames({"000000": (x, 5_330_000.0, 0.0)}))
+        assert export_las(predicted.out).done == 3
+        np.testing.assert_allclose(cloud(predicted).header.offsets, [x, 5_330_000, 0])
+    assert export_las(predicted.out, query=ResultQuery(selection=ScanSelection(limit=1))).done == 0
 
 
 def codes_of(labels, codes):

@@ -17,6 +17,7 @@ from salsanext_cli.core.classes.merging import named_classes
 from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.core.geometry.scan_traits import traits_of
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
+from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
@@ -75,6 +76,14 @@ def test_classes_are_fine_coarse_or_movable(apply, tmp_path, options, expected):
     assert remaining(tmp_path) == expected
     counts = outcome.filtered_points
     assert (counts.points, counts.remaining) == (11, len(expected) + 4 * ("keep" not in options))
+
+
+def test_scans_that_were_moved_out_of_a_map_keep_their_frames(apply, world, tmp_path):
+    frame = (690_000.0, 5_330_000.0, 0.0)
+    written = encode_frames({"000001": frame})
+    (world.dataset / "sequences/08" / FRAMES).write_bytes(written)
+    apply(drop=["person"])
+    assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == written
 
 
 def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):

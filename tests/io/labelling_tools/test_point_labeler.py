@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from picked_for_tools import SEQUENCES, PickedForTool
-from scans import SMALL, files_below, refused
+from picked_for_tools import SEQUENCES, SPACE, PickedForTool
+from scans import SMALL, files_below, make_scan, refused
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import UsageError
+from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.io.labelling_tools.point_labeler import APART_M, PointLabeler
+from salsanext_cli.io.labelling_tools.tool import LabelledPoints
 from salsanext_cli.runs.labelling.tool_files import SensorPositions
 
 SCAN = ("08", "000011")
@@ -101,6 +103,29 @@ def test_registered_scans_are_seen_from_their_sensor_and_lie_where_they_are_in_t
         np.testing.assert_allclose(points @ pose[:3, :3].T + pose[:3, 3], in_map, atol=1e-4)
         nearest = picked.points((sequence, stem)) - np.float32(origins[f"{sequence}/{stem}"])
         np.testing.assert_allclose(points, nearest, atol=1e-4)
+
+
+def test_registered_scans_of_two_frames_lie_where_they_are_in_the_map(picked):
+    """Two scans 4 m apart, on both sides of the border of two frames."""
+    origins = {"08/000010": (4998.0, 20.0, 1.5), "08/000011": (-4998.0, 20.0, 1.5)}
+    origins["09/000010"] = (7.0, 0.0, 0.0)
+    frames = {"000010": (690_000.0, 0.0, 0.0), "000011": (700_000.0, 0.0, 0.0)}
+    (picked.root / "sequences/08" / FRAMES).write_bytes(encode_frames(frames))
+    picked.write(SensorPositions(sensor=replace(SMALL, registered=True), origins=origins))
+    first, second = opened_poses(picked.folder / "08")
+    np.testing.assert_array_equal([first[:3, 3], second[:3, 3]], [[0, 0, 0], [4, 0, 0]])
+
+
+def test_points_without_a_measurement_stay_at_the_origin_of_a_scan():
+    scan = make_scan(20)
+    scan.points[5:9] = 0
+    labelled = LabelledPoints(
+        sequence="08", stem="a", scan=scan, labels=np.zeros(20, "u4"), origin=(300.0, 20.0, 1.5)
+    )
+    content = PointLabeler().scan_files(labelled, SPACE)["08/velodyne/a.bin"]
+    points = np.frombuffer(content, "<f4").reshape(-1, 4)[:, :3]
+    np.testing.assert_array_equal(~points.any(axis=1), ~scan.points.any(axis=1))
+    assert np.flatnonzero(~points.any(axis=1)).tolist() == [5, 6, 7, 8]
 
 
 def test_names_with_dots_have_files_that_the_tool_pairs(picked):

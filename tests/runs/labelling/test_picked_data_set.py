@@ -8,7 +8,8 @@ from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import read_scan
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import read_frames
+from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
+from salsanext_cli.runs.labelling.map_frames import add_frames
 from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
@@ -43,7 +44,7 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     (scan,) = find_scans(tmp_path / "data")
     data_set = PickedDataSet(tmp_path / "out")
     frame = data_set.write_points(scan, SMALL)
-    data_set.write_frames({scan: frame})
+    add_frames(data_set, {scan: frame})
     data_set.write_poses({scan: frame})
     sequence = tmp_path / "out/sequences/08"
     assert read_frames(sequence / "frames.json") == {"000003": frame}
@@ -53,19 +54,15 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     assert str(path.parents[1] / "poses.txt") in caplog.text
 
 
-def test_frames_are_added_to_those_that_are_written(tmp_path):
+def test_a_copy_of_a_scan_that_was_moved_has_the_frame_of_the_first_file(tmp_path):
+    """As `pick` of a data set of `convert` or `pick` has it."""
     folder = tmp_path / "data/sequences/08"
-    write_sequence(folder, ("000000", "000001", "000002"), labels=False)
-    first, second, third = find_scans(tmp_path / "data")
+    write_sequence(folder, ("000000", "000001"), labels=False)
     frame = (500_000.0, 5_400_000.0, 0.0)
+    (folder / FRAMES).write_bytes(encode_frames({"000001": frame}))
     data_set = PickedDataSet(tmp_path / "out")
-    path = tmp_path / "out/sequences/08/frames.json"
-    data_set.write_frames({second: NO_SHIFT})
-    assert not path.exists()
-    data_set.write_frames({third: frame})
-    data_set.write_frames({first: frame, second: NO_SHIFT, third: (0.0, 1.0, 0.0)})
-    assert read_frames(path) == {"000000": frame, "000002": frame}
-    assert data_set.foreign_files([path]) == []
+    found = [data_set.write_points(scan, SMALL) for scan in find_scans(tmp_path / "data")]
+    assert found == [NO_SHIFT, frame]
 
 
 def test_the_settings_are_one_table_with_those_of_the_network():
