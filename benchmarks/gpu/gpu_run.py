@@ -42,20 +42,20 @@ GRACE_SHARE = 0.2  # Of the time of a short part
 KILLED = 124
 
 
-def run(given: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     """Run the parts one after the other; return the exit status."""
-    begun, out = time.monotonic(), given.out
+    begun, out = time.monotonic(), options.out
     out.mkdir(parents=True, exist_ok=True)
     report: dict[str, Any] = {"parts": {}}
     with (out / "run.log").open("w") as log, tempfile.TemporaryDirectory() as scratch:
-        for number, part in enumerate(given.parts):
-            left = begun + 60 * given.minutes - time.monotonic()
-            share = SHARES[part] / sum(SHARES[each] for each in given.parts[number:])
+        for number, part in enumerate(options.parts):
+            left = begun + 60 * options.minutes - time.monotonic()
+            share = SHARES[part] / sum(SHARES[each] for each in options.parts[number:])
             if left * share < 1:
                 report["parts"][part] = {"status": KILLED, "figures": []}
                 continue
             figures = Path(scratch, f"{part}.json")
-            status = run_part(given, part, left * share, figures, log)
+            status = run_part(options, part, left * share, figures, log)
             found = json.loads(figures.read_text()) if figures.exists() else {}
             report |= {"machine": found.get("machine", report.get("machine"))}
             report["parts"][part] = {"status": status, "figures": found.get("figures", [])}
@@ -70,14 +70,14 @@ def run(given: argparse.Namespace) -> int:
 
 
 def run_part(
-    given: argparse.Namespace, part: str, seconds: float, figures: Path, log: TextIO
+    options: argparse.Namespace, part: str, seconds: float, figures: Path, log: TextIO
 ) -> int:
     """Run a part in a process of its own, and log what it prints; return its exit status."""
     grace = min(GRACE_S, GRACE_SHARE * seconds)
     end = time.monotonic() + seconds - grace  # By the clock of all processes
     words = ["--part", part, "--deadline", f"{end:.3f}", "--figures", str(figures)]
     words += ["--parent", str(os.getpid())]
-    command = script_command("benchmarks.gpu.gpu_run", *given.words, *words)
+    command = script_command("benchmarks.gpu.gpu_run", *options.words, *words)
     environment = {**script_environment(), "PYTHONUNBUFFERED": "1"}
     tell(log, f"\n== {part}, {seconds:.0f} s\n")
     # In a group of their own, the part and its processes end together.
@@ -122,7 +122,7 @@ def summary_of(report: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def work(given: argparse.Namespace) -> int:
+def work(options: argparse.Namespace) -> int:
     """Do one part in this process; return the exit status."""
     # Only here: the whole run needs no torch.
     from benchmarks.gpu.gpu_measures import Figures, machine
@@ -131,39 +131,47 @@ def work(given: argparse.Namespace) -> int:
     from salsanext_cli.io.weights.card_file import default_weights
     from salsanext_cli.runs.loop.pool import end_with_parent
 
-    end_with_parent(given.parent)
-    figures = Figures(given.figures, choose_device(given.device), given.deadline)
+    end_with_parent(options.parent)
+    figures = Figures(options.figures, choose_device(options.device), options.deadline)
     figures.machine = machine(figures.device)
     figures.write()
-    weights = given.weights or default_weights()
+    weights = options.weights or default_weights()
     with utilisation(figures.device) as used:
         try:
-            status = measure(given, figures, weights)
+            status = measure(options, figures, weights)
         except Exception:  # noqa: BLE001 - whatever it is, the log has it
             traceback.print_exc()
             status = 1
-    figures.add(f"GPU used by the part {given.part}", mean_text(used), "%")
+    figures.add(f"GPU used by the part {options.part}", mean_text(used), "%")
     return status
 
 
-def measure(given: argparse.Namespace, figures: Any, weights: Path) -> int:
+def measure(options: argparse.Namespace, figures: Any, weights: Path) -> int:
     """Measure one part in this process; return the exit status."""
-    scratch = given.figures.parent
-    if given.part == "tests":
+    scratch = options.figures.parent
+    if options.part == "tests":
         return run_tests(figures)
-    if given.part == "speed":
+    if options.part == "speed":
         from benchmarks.gpu import gpu_speed
 
-        gpu_speed.measure(figures, weights, small=given.small)
-    elif given.part == "training":
+        gpu_speed.measure(figures, weights, small=options.small)
+    elif options.part == "training":
         from benchmarks.gpu import gpu_training
 
-        gpu_training.measure(figures, weights, scratch, small=given.small)
+        gpu_training.measure(figures, weights, scratch, small=options.small)
     else:
         from benchmarks.gpu import gpu_train
 
-        how = {"pack": given.pack, "changes": given.set, "small": given.small}
-        gpu_train.train(figures, given.out, scratch, weights, seed=given.seed, **how)
+        gpu_train.train(
+            figures,
+            options.out,
+            scratch,
+            weights,
+            seed=options.seed,
+            pack=options.pack,
+            changes=options.set,
+            small=options.small,
+        )
     return 0
 
 
@@ -217,9 +225,9 @@ def main(*words: str) -> int:
     # Of the process of one part
     for name, kind in (("part", str), ("deadline", float), ("figures", Path), ("parent", int)):
         parser.add_argument(f"--{name}", type=kind, help=argparse.SUPPRESS)
-    given = parser.parse_args(words)
-    given.words = words
-    return work(given) if given.part else run(given)
+    options = parser.parse_args(words)
+    options.words = words
+    return work(options) if options.part else run(options)
 
 
 if __name__ == "__main__":
