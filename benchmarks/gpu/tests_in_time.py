@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Plug-in of pytest that skips the tests for which no time is left.
 
-Run: python -m pytest -p benchmarks.gpu.tests_in_time, with the time by `time.monotonic` in
-`TESTS_END`.
+`gpu_run` loads it, with the time by `time.monotonic` in `TESTS_END`.
 """
 
 import os

@@ -42,7 +42,7 @@ def test_invalid_settings_are_refused(tmp_path: Path, stage, name, values) -> No
             Manifest(tmp_path).settings(stage)
 
 
-# Keys of the settings in the files of version 0.9.0, in their order.
+# Keys of the settings in the files of version 0.9.0, in their order; `frames` came later.
 KEYS = {
     "project": "label_space sensor",
     "predict": (
@@ -60,8 +60,8 @@ KEYS = {
     ),
     "picture": "label_space sensor colours scales origins",
     "export-ply": "label_space sensor colour scale origins",
-    "export-las": "label_space sensor origins",
-    "export-laz": "label_space sensor origins",
+    "export-las": "label_space sensor origins frames",
+    "export-laz": "label_space sensor origins frames",
 }
 
 
