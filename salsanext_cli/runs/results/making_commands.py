@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.wording import command, setting
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ERROR, ScanFile
+from salsanext_cli.runs.results.manifest import Manifest, ScanSource
+from salsanext_cli.runs.results.paths import ERROR, ScanFile, find_scans
 from salsanext_cli.runs.results.repeated_settings import (
     extras_of_run,
     network_record,
@@ -20,6 +21,8 @@ from salsanext_cli.runs.results.selection import data_set_of
 
 UNKNOWN_SCANS = "SCANS"
 """Word for scans that are not known, or in several folders."""
+MAX_NAMED_PARTS = 3
+"""Files or folders of a part of a data set that a command names; it names the whole for more."""
 WITHOUT_NOISE = "none"  # Value of `UncertaintyMethod.aleatoric`
 
 
@@ -56,7 +59,7 @@ class MakingCommand:
         words = ["salsanext", self.stage]
         settings: list[str] = []
         if self.stage != "fuse":
-            words += _sources(files)
+            words += _sources(files, Manifest(out).sources())
             settings += settings_of_run(Manifest(out), self.omitted)
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
@@ -71,11 +74,53 @@ class MakingCommand:
         return command(shlex.join([*words, str(target or out)]), *settings)
 
 
-def _sources(files: Sequence[ScanFile]) -> list[str]:
-    """Return the data set or the folder of each scan; the word `SCANS` for no scans."""
+def _sources(files: Sequence[ScanFile], recorded: Mapping[str, ScanSource]) -> list[str]:
+    """Return the data set or folder of each scan, or the part of it that the run was asked for.
+
+    Parameters
+    ----------
+    files : sequence of ScanFile
+        Scans of the results; the word `SCANS` stands for none.
+    recorded : mapping of str to ScanSource
+        Scans that the runs were asked for, by sequence; empty where it is not recorded.
+
+    Returns
+    -------
+    list of str
+    """
     if not files:
         return [UNKNOWN_SCANS]
-    return [str(data_set_of(file) or file.path.parent) for file in files]
+    wholes = [str(data_set_of(file) or file.path.parent) for file in files]
+    number = sum(len(source.suffixes) for source in recorded.values())
+    if not number or number >= sum(map(_number_of_scans, wholes)):
+        return wholes
+    for part in (
+        _recorded_files(recorded),
+        sorted({source.folder for source in recorded.values()}),
+    ):
+        if 0 < len(part) <= MAX_NAMED_PARTS:
+            return part
+    return wholes
+
+
+def _number_of_scans(whole: str) -> int:
+    """Return the number of scans in a folder, 0 if it is no more."""
+    try:
+        return len(find_scans(Path(whole), unique=False))
+    except NoInputError:
+        return 0
+
+
+def _recorded_files(recorded: Mapping[str, ScanSource]) -> list[str]:
+    """Return the paths of the files of recorded scans, none if one has no file of its own."""
+    names = [
+        (Path(source.folder) / stem, suffix)
+        for source in recorded.values()
+        for stem, suffix in sorted(source.suffixes.items())
+    ]
+    if not all(suffix for _, suffix in names):
+        return []
+    return [f"{path}{suffix}" for path, suffix in names]
 
 
 PREDICT = MakingCommand(stage="predict")

@@ -5,12 +5,13 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from shutil import copyfile
 
 import numpy as np
 import pytest
 import yaml
 from command_line import called
-from scans import SMALL
+from scans import SMALL, write_sequence
 from world import World
 
 from salsanext_cli import label_space
@@ -58,6 +59,28 @@ def test_a_hint_about_missing_results_continues_the_same_run(run_with_options):
     assert len(find_outputs(world.out, "probabilities")) == 3
     # Without the options, the settings are others.
     called("predict", world.data, world.out, "--weights", world.network.weights, status=1)
+
+
+@pytest.mark.parametrize("number", [1, 3])
+def test_a_hint_names_no_more_than_the_scans_that_the_run_was_asked_for(world, tmp_path, number):
+    files = [scan.path for scan in find_scans(world.data)][:number]
+    for further in range(4):
+        write_sequence(world.data / f"sequences/9{further}", ["0", "1"], count=300)
+    called("predict", *files, world.out, "--weights", world.network.weights)
+    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(files[0])[0])
+    expected = [str(file) for file in files]
+    assert words[2 : 3 + number] == [*expected, str(world.out)]
+
+
+def test_a_hint_of_a_run_over_many_files_of_a_folder_names_the_folder(world):
+    folder = find_scans(world.data)[0].path.parent
+    write_sequence(world.data / "sequences/97", ["0", "1"], count=300)
+    more = [f"further{number}" for number in range(3)]
+    for name in more:
+        copyfile(find_scans(folder)[0].path, folder / f"{name}.bin")
+    called("predict", folder, world.out, "--weights", world.network.weights)
+    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(folder)[0])
+    assert words[2:4] == [str(folder), str(world.out)]
 
 
 def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):
