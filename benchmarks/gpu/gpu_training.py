@@ -228,7 +228,8 @@ def measure_device_samples(figures: Figures, name: str, training: Training, seco
 
     The last figure is the share of the speed on batches that are ready.
     """
-    learner, samples = training.learner, training.samples
+    learner = training.learner
+    samples = training.samples
     memory = ScanMemory(device=learner.device)
     store = ScanStore(memory=memory, rare=samples.rare, jobs=os.cpu_count() or 1)
     begun = time.monotonic()

@@ -9,15 +9,32 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 READS = {
-    *("item", "tolist", "numpy", "equal", "allclose", "is_nonzero"),
-    *("__array__", "__bool__", "__complex__", "__contains__", "__float__", "__index__", "__int__"),
+    "__array__",
+    "__bool__",
+    "__complex__",
+    "__contains__",
+    "__float__",
+    "__index__",
+    "__int__",
+    "allclose",
+    "equal",
+    "is_nonzero",
+    "item",
+    "numpy",
+    "tolist",
 }
 """Functions that return values of a tensor."""
 SIZED_BY_VALUES = {
-    *("argwhere", "bincount", "masked_select", "nonzero", "unique", "unique_consecutive")
+    "argwhere",
+    "bincount",
+    "masked_select",
+    "nonzero",
+    "unique",
+    "unique_consecutive",
 }
 """Functions whose results have as many values as the values of a tensor decide."""
-INDEXED = {"__getitem__", "__setitem__", "index_put", "index_put_"}  # So are those with masks
+INDEXED = {"__getitem__", "__setitem__", "index_put", "index_put_"}
+"""Functions of which this holds if an index is a mask."""
 FROM_NUMBERS = {"as_tensor", "new_tensor", "tensor"}  # Copies from the host
 
 
