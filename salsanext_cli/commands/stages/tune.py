@@ -322,7 +322,8 @@ def _without_thresholds_of_int8(card: WeightsCard) -> WeightsCard:
     """Return a card without thresholds chosen with int8, of any width: new ranges end them."""
 
     def is_of_int8(risk: RiskThreshold | None) -> bool:
-        return risk is not None and risk.settings.get(KEY_OF["precision"]) == "int8"
+        # CPUs that compute int8 in another way have words after it: `number_type_of_labels`.
+        return risk is not None and str(risk.settings.get(KEY_OF["precision"])).startswith("int8")
 
     if any(is_of_int8(parts.risk) for parts in (card.parts, *card.parts_of_widths.values())):
         log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")

@@ -24,6 +24,7 @@ BFLOAT16_ISA = {
     "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
 }
 """x86 and ARM flags of bfloat16 multiplication, with the `ISA_VARIABLES` values that allow it."""
+PLAIN_INT8 = "float32 and no tiles of bytes"  # On CPUs without bfloat16, and in older versions
 BYTE_TILES = "amx_int8"  # x86 flag; the values that allow it are those of `amx_bf16`
 
 
@@ -144,6 +145,25 @@ def int8_arithmetic() -> str:
     """Return in words what labels in int8 depend on, beside the network: they differ among CPUs."""
     tiles = "tiles of bytes" if multiplies_tiles_of_bytes() else "no tiles of bytes"
     return f"{float_of_precision('int8')} and {tiles}"
+
+
+def number_type_of_labels(precision: str) -> str:
+    """Return a precision as labels depend on it: in int8, CPUs of several kinds differ.
+
+    Parameters
+    ----------
+    precision : str
+        Number type of a network.
+
+    Returns
+    -------
+    str
+        The precision itself for all others, and for int8 on CPUs without more than that.
+    """
+    if precision != "int8":
+        return precision
+    arithmetic = int8_arithmetic()
+    return precision if arithmetic == PLAIN_INT8 else f"{precision} with {arithmetic}"
 
 
 def processor() -> str:

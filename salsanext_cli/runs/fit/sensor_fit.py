@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from salsanext_cli.core.engines.device import number_type_of_labels
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample, intensity_method
 from salsanext_cli.core.fitting.scan_sample import ScanSample
@@ -148,7 +149,7 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, o
         "min_range": view.pop("min_range", None),
         "ego": view.pop("ego_box", None),
         "intensity": intensity_method(settings.intensity, network),
-        "precision": network.backend.precision,
+        "precision": number_type_of_labels(network.backend.precision),
         "width": view.pop("width"),
         "sensor": {key: value for key, value in view.items() if key != "columns"},
     }

@@ -84,3 +84,19 @@ def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     expected = "float16" if capability >= (7, 0) else "float32"
     assert choose_precision("auto", "cuda", "torch") == expected
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        (set(), "int8"),
+        ({"avx512_bf16"}, "int8 with bfloat16 and no tiles of bytes"),
+        ({"amx_bf16", "amx_int8"}, "int8 with bfloat16 and tiles of bytes"),
+    ],
+)
+def test_labels_in_int8_depend_on_the_cpu_and_others_do_not(monkeypatch, flags, expected):
+    for variable in device.ISA_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(device, "flags", lambda: flags)
+    assert device.number_type_of_labels("int8") == expected
+    assert device.number_type_of_labels("float32") == "float32"
