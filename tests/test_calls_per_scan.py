@@ -92,13 +92,13 @@ WITH_SAMPLES = (
     f"uncertainty DATA sampled {NETWORK} --samples 2",
     "eval sampled",
     "export-ply sampled --colour entropy",
-    "picture sampled",
     f"pick DATA picked {NETWORK} --count 1000",
     f"pick DATA picked {NETWORK} --count 1000",
     "import-labels DATA/sequences/08/labels picked",
     "import-labels DATA/sequences/08/labels picked",
     "tune risk DATA tuned.safetensors --at-most 99% --weights WEIGHTS --device cpu",
 )
+WITH_PICTURES = (f"uncertainty DATA sampled {NETWORK} --samples 2", "picture sampled")
 
 
 def counts_of(folder: Path, commands, weights: Path, scans: int) -> list:
@@ -134,10 +134,11 @@ def unrendered(monkeypatch) -> None:
     ("commands", "scans"),
     [
         (QUICK, 12),
-        pytest.param(THOROUGH, 200, marks=[pytest.mark.slow, pytest.mark.long]),
+        pytest.param(THOROUGH, 60, marks=[pytest.mark.slow, pytest.mark.long]),
         pytest.param(WITH_SAMPLES, 20, marks=[pytest.mark.slow, pytest.mark.long]),
+        pytest.param(WITH_PICTURES, 12, marks=pytest.mark.slow),
     ],
-    ids=["quick", "thorough", "sampled"],
+    ids=["quick", "thorough", "sampled", "pictures"],
 )
 @pytest.mark.usefixtures("unrendered")
 def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:
