@@ -44,8 +44,14 @@ SHARED_MEMORY = Path("/dev/shm")
 """Folder in which joblib reserves the names of its own folders, by process."""
 END_TIMEOUT_S = 10.0
 """Time in which all processes of a run end."""
-STEPS_SEEN = [0]
-at_each_step(OUT, lambda steps: STEPS_SEEN.append(steps))
+
+
+@cache
+def steps_seen() -> list[int]:
+    """Return a list to which this process adds the number of each step from now on."""
+    steps = [0]
+    at_each_step(OUT, steps.append)
+    return steps
 
 
 def call(command: str) -> None:
@@ -69,10 +75,11 @@ class Trial:
             for command in before:
                 call(command)
         shutil.copytree(self.start, whole)
-        first = STEPS_SEEN[-1]
+        steps = steps_seen()
+        first = steps[-1]
         with chdir(whole):
             call(self.command)
-        self.steps = STEPS_SEEN[-1] - first
+        self.steps = steps[-1] - first
         self.expected = whole / OUT
 
     def start_process(self, folder, options="", **environment):

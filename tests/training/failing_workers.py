@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Workers that fail; `test_distributed` starts them as torchrun does."""
+"""Workers that fail; `forked_workers` starts them as torchrun does."""
 
 import logging
 import sys
 import time
+from pathlib import Path
 
 import torch
 
@@ -12,7 +13,7 @@ from salsanext_cli.training import failure_watch
 from salsanext_cli.training.distributed import process_group
 
 
-def fail_alike() -> None:
+def fail_alike(_: Path) -> None:
     """Raise the same error in all workers, and print it as the command line does."""
     try:
         with process_group("cpu"):
@@ -22,7 +23,7 @@ def fail_alike() -> None:
             sys.stderr.write(f"{error}\n")
 
 
-def fail() -> None:
+def fail(_: Path) -> None:
     """Let the last worker fail while the others are busy endlessly."""
     logging.basicConfig(format="%(message)s")
     failure_watch.LEAVING_S = 0.1  # so that the others stay a second instead of five
@@ -33,7 +34,3 @@ def fail() -> None:
         elif group.rank == 1:
             group.sum(torch.ones(1))
         raise ZeroDivisionError("out of luck")
-
-
-if __name__ == "__main__":
-    {"fail": fail, "fail alike": fail_alike}[sys.argv[1]]()

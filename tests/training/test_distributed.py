@@ -3,9 +3,9 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,21 +15,20 @@ import torch
 from filelock import FileLock
 from scans import SMALL, refused, write_sequence
 from torch.distributed import is_gloo_available
-from training.two_workers import CASES, batch, learner, share, stepped
+from training.forked_workers import ENVIRONMENT, Group, GroupEnd, ends_of
+from training.two_workers import CASES, RESULTS, batch, learner, share, stepped
 
-import salsanext_cli
 from salsanext_cli.core.errors import TrainingError, UsageError
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 from salsanext_cli.training.fit import Training
 
-TWO = Path(__file__).with_name("two_workers.py")
-FAILING = Path(__file__).with_name("failing_workers.py")
+TWO = Group(module="training.two_workers", function="write_results", size=2)
+FAILING = Group(module="training.failing_workers", function="fail", size=3)
+FAILING_ALIKE = Group(module="training.failing_workers", function="fail_alike", size=2)
 
-gloo = pytest.mark.skipif(not is_gloo_available(), reason="needs gloo")
-
-
-FOLDERS = (Path(salsanext_cli.__file__).parents[1], Path(__file__).parents[1])
-ENVIRONMENT = {"PYTHONPATH": os.pathsep.join(map(str, FOLDERS)), "OMP_NUM_THREADS": "1"}
+gloo = pytest.mark.skipif(
+    not (is_gloo_available() and hasattr(os, "fork")), reason="needs gloo and fork"
+)
 
 
 def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -45,56 +44,40 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-def started(script: Path, argument: object, count: int) -> list[subprocess.Popen[str]]:
-    """Start workers as torchrun does, which itself takes seconds."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
-    group = {"TORCHELASTIC_RUN_ID": "test", "WORLD_SIZE": str(count)}
-    environment = os.environ | ENVIRONMENT | address | group
-    return [
-        subprocess.Popen(
-            [sys.executable, str(script), str(argument)],
-            env=environment | {"RANK": str(rank)},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in range(count)
-    ]
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[GroupEnd]]:
+    """Return a folder with the results of two workers, and how these and three others end.
 
-
-def ended(script: Path, argument: object, count: int) -> tuple[list[int], list[str]]:
-    """Return exit status and messages of workers, by rank."""
-    workers = started(script, argument, count)
-    try:
-        # The last worker ends first.
-        messages = [worker.communicate(timeout=200)[1] for worker in workers[::-1]]
-    finally:
-        for worker in workers:
-            worker.kill()
-    return [worker.returncode for worker in workers], messages[::-1]
+    They run once for all processes that test.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "workers"
+    with FileLock(folder.with_suffix(".lock")):
+        record = folder / "ends.json"
+        if not record.exists():
+            folder.mkdir()
+            ends = ends_of(folder, TWO, FAILING)
+            record.write_text(json.dumps([asdict(end) for end in ends]), "utf-8")
+    return folder, [GroupEnd(**end) for end in json.loads(record.read_text("utf-8"))]
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Return the results of two workers, made once for all processes that test."""
-    base = tmp_path_factory.getbasetemp()
-    path = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "two_workers.pt"
-    with FileLock(path.with_suffix(".lock")):
-        if not path.exists():
-            status, messages = ended(TWO, path, 2)
-            assert status == [0, 0], messages
-    results: dict[str, Any] = torch.load(path, weights_only=True)
+def two(ends: tuple[Path, list[GroupEnd]]) -> dict[str, Any]:
+    """Return the results of two workers."""
+    folder, (end, _) = ends
+    assert end.status == [0, 0], end.messages
+    results: dict[str, Any] = torch.load(folder / RESULTS, weights_only=True)
     assert results["size"] == 2
     return results
 
 
 @gloo
-def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
+def test_workers_end_with_the_one_that_fails_and_name_it(ends: tuple[Path, list[GroupEnd]]) -> None:
     """The first is busy for longer than the test, the second waits in a collective."""
-    status, messages = ended(FAILING, "fail", 3)
-    assert status == [1, 1, 1]
-    assert messages[2].splitlines()[-1].endswith("ZeroDivisionError: out of luck")
-    for message in messages[:2]:
+    _, (_, end) = ends
+    assert end.status == [1, 1, 1]
+    assert end.messages[2].splitlines()[-1].endswith("ZeroDivisionError: out of luck")
+    for message in end.messages[:2]:
         (line,) = message.splitlines()
         assert line.startswith("worker 2 of 3 on ")
         assert line.endswith(": out of luck")
@@ -102,10 +85,10 @@ def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
 
 @pytest.mark.slow
 @gloo
-def test_an_error_of_all_workers_is_reported_by_one() -> None:
-    status, messages = ended(FAILING, "fail alike", 2)
-    assert status == [0, 0], messages
-    assert sorted(message.strip() for message in messages) == ["", "data: is empty"]
+def test_an_error_of_all_workers_is_reported_by_one(tmp_path: Path) -> None:
+    (end,) = ends_of(tmp_path, FAILING_ALIKE)
+    assert end.status == [0, 0], end.messages
+    assert sorted(message.strip() for message in end.messages) == ["", "data: is empty"]
 
 
 @gloo

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Gradients and more of workers; `test_distributed` starts them as torchrun does."""
+"""Gradients and more of workers; `forked_workers` starts them as torchrun does."""
 
-import sys
 from pathlib import Path
 
 import torch
@@ -13,6 +12,7 @@ from salsanext_cli.training.distributed import ProcessGroup, process_group
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
 
+RESULTS = "two_workers.pt"
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
 CASES: dict[str, dict[str, object]] = {
     "both losses": {},
@@ -118,7 +118,7 @@ def refused(group: ProcessGroup) -> bool:
     return False
 
 
-def main() -> None:
+def write_results(folder: Path) -> None:
     """Write the results of two workers."""
     with process_group("cpu") as (group, _):
         results: dict[str, object] = {case: stepped(group, case) for case in CASES}
@@ -126,8 +126,4 @@ def main() -> None:
         results["refused"] = torch.cat(group.gather(torch.tensor([refused(group)]).byte()))
         results["size"] = group.size
         if group.is_main:
-            torch.save(results, Path(sys.argv[1]))
-
-
-if __name__ == "__main__":
-    main()
+            torch.save(results, folder / RESULTS)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 import math
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -61,16 +61,20 @@ def scan_of(points, *, intensity=True):
 
 
 @cache
+def seen_while_turning(ahead):
+    """Return the points, in the frame of a rotating sensor that moved ahead."""
+    return seen_from(ahead, turned())
+
+
 def sweeps(count, step=2.0):
     """Return successive scans in the frame of the last one."""
-    rays = turned()
     return scan_of(
-        np.concatenate([seen_from(-step * k, rays) - (step * k, 0, 0) for k in range(count)])
+        np.concatenate([seen_while_turning(-step * k) - (step * k, 0, 0) for k in range(count)])
     )
 
 
 def foggy(share):
-    points, rng = seen_from(0, turned()), np.random.default_rng(0)
+    points, rng = seen_while_turning(0.0).copy(), np.random.default_rng(0)
     echo = rng.random(len(points)) < share
     ranges = np.linalg.norm(points, axis=1)
     points[echo] *= (rng.uniform(2.5, 12, echo.sum()) / ranges[echo])[:, None].clip(max=1)
@@ -78,7 +82,7 @@ def foggy(share):
 
 
 def shaken(deviation):
-    points = seen_from(0, turned())
+    points = seen_while_turning(0.0)
     return scan_of(points + np.random.default_rng(0).normal(0, deviation, points.shape))
 
 
@@ -98,23 +102,23 @@ def codes(scan, mounted=SMALL):
 
 
 @pytest.mark.parametrize(
-    ("scan", "expected"),
+    ("make", "expected"),
     [
-        (sweeps(1), set()),
-        (sweeps(10), {"accumulated"}),
-        (sweeps(5), {"accumulated"}),
-        (foggy(0.003), set()),
-        (foggy(0.03), {"near-returns"}),
-        (shaken(0.01), set()),
-        (shaken(0.2), {"noisy"}),
-        (depth_image(), {"depth-image"}),
-        (depth_image(tilt_deg=5), {"depth-image"}),
-        (depth_image(intensity=True), set()),
-        (scan_of(seen_from(0, turned()), intensity=False), set()),
+        (partial(sweeps, 1), set()),
+        (partial(sweeps, 10), {"accumulated"}),
+        (partial(sweeps, 5), {"accumulated"}),
+        (partial(foggy, 0.003), set()),
+        (partial(foggy, 0.03), {"near-returns"}),
+        (partial(shaken, 0.01), set()),
+        (partial(shaken, 0.2), {"noisy"}),
+        (depth_image, {"depth-image"}),
+        (partial(depth_image, tilt_deg=5), {"depth-image"}),
+        (partial(depth_image, intensity=True), set()),
+        (lambda: scan_of(seen_while_turning(0.0), intensity=False), set()),
     ],
 )
-def test_structures_that_no_lidar_sees_are_findings(scan, expected):
-    assert codes(scan) == expected
+def test_structures_that_no_lidar_sees_are_findings(make, expected):
+    assert codes(make()) == expected
 
 
 def returns_of(first, order):
@@ -140,17 +144,17 @@ RETURN_ORDERS = ("in turn", "last one first", "without empty ones", "by firing",
 
 @pytest.mark.parametrize("order", RETURN_ORDERS)
 def test_second_returns_of_the_same_pulses_are_not_several_scans(order):
-    first = seen_from(0, turned())
+    first = seen_while_turning(0.0)
     assert codes(scan_of(returns_of(first, order))) == set()
     # Laser and receiver are not exactly at the origin of the frame.
     moved = returns_of(first + (0.02, 0, 0.05), order) - (0.02, 0, 0.05)
     assert codes(scan_of(moved + (0, 0.03, 0.1))) == set()
-    clouds = [returns_of(seen_from(-2.0 * k, turned()), order) - (2.0 * k, 0, 0) for k in range(10)]
+    clouds = [returns_of(seen_while_turning(-2.0 * k), order) - (2.0 * k, 0, 0) for k in range(10)]
     assert codes(scan_of(np.concatenate(clouds))) == {"accumulated"}
 
 
 def test_returns_in_no_order_are_named_by_the_hint():
-    points = returns_of(seen_from(0, turned()), "in turn")
+    points = returns_of(seen_while_turning(0.0), "in turn")
     scan = scan_of(np.random.default_rng(1).permutation(points))
     (found,) = (f for f in check_scan(Path("s.bin"), scan, SMALL).findings if f.code in CODES)
     assert found.code == "accumulated"
@@ -237,9 +241,9 @@ def test_a_few_points_have_no_structure():
     )
 
 
-@pytest.mark.parametrize("scan", [foggy(0.02), foggy(0.2), shaken(0.2)])
-def test_confident_weights_do_not_lead_to_an_estimate_in_fog_and_noise(scan):
-    warnings = {code: ["s"] for code in codes(scan)}
+@pytest.mark.parametrize("make", [partial(foggy, 0.02), partial(foggy, 0.2), partial(shaken, 0.2)])
+def test_confident_weights_do_not_lead_to_an_estimate_in_fog_and_noise(make):
+    warnings = {code: ["s"] for code in codes(make())}
     estimate = expected_accuracy(AccuracyLine(1.0, 0.0, 0.01), {"s": 0.99}, warnings)
     assert estimate.accuracy is None
 

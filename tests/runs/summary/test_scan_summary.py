@@ -3,6 +3,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -163,20 +164,23 @@ def mixed(*traits_of_scans):
     return mixed_sensors(dict(zip(files("08", len(traits_of_scans)), traits_of_scans, strict=True)))
 
 
-OF = {name: [traits(scan_of(name, place)) for place in range(9)] for name in BEAMS}
+@cache
+def places_of(name):
+    """Return the traits of scans of one sensor at nine places."""
+    return [traits(scan_of(name, place)) for place in range(9)]
 
 
 @pytest.mark.parametrize("name", BEAMS)
 def test_scans_of_one_sensor_at_different_locations_are_not_mixed(name):
-    for scans in (OF[name], *combinations(OF[name], 2)):
+    for scans in (places_of(name), *combinations(places_of(name), 2)):
         assert mixed(*scans) == {}
 
 
 @pytest.mark.parametrize(("one", "other"), [*combinations(BEAMS, 2)])
 @pytest.mark.parametrize(("of_one", "of_other"), [(6, 6), (9, 1), (1, 9)])
 def test_scans_of_two_sensors_are_mixed(one, other, of_one, of_other):
-    scans = dict(zip(files("00", of_one), OF[one], strict=False))
-    scans |= dict(zip(files("08", of_other), OF[other], strict=False))
+    scans = dict(zip(files("00", of_one), places_of(one), strict=False))
+    scans |= dict(zip(files("08", of_other), places_of(other), strict=False))
     findings = mixed_sensors(scans)
     fewer = "00" if of_one < of_other else "08"
     assert {file for file in scans if file.sequence == fewer} == findings.keys()
@@ -207,22 +211,26 @@ def test_small_scans_of_two_sensors_are_mixed_and_different_fits_not_compared():
     large = traits(scan_of("dense", 0))
     assert len(mixed(large, small, other)) == 2
     assert len({*groups_of([large, small, other])}) == 3
-    assert mixed(OF["of-16"][0], traits(scan_of("of-64", 0), replace(SMALL, fov_up=20.0))) == {}
+    assert (
+        mixed(places_of("of-16")[0], traits(scan_of("of-64", 0), replace(SMALL, fov_up=20.0))) == {}
+    )
 
 
 def test_intensities_of_two_scales_are_mixed_but_not_those_of_a_wet_road():
-    usual, in_bytes, none = (replace(OF["of-64"][0], bright=b) for b in (0.5, 130.0, 0.0))
+    usual, in_bytes, none = (replace(places_of("of-64")[0], bright=b) for b in (0.5, 130.0, 0.0))
     ((file, finding),) = mixed(usual, usual, in_bytes, none).items()
     assert file.stem == "000002"
     assert "130)" in finding.problem
     # The factor is the largest of one real sensor; scales differ by 100 or more.
-    dry, wet = (replace(OF["of-64"][0], bright=bright) for bright in (0.247, 0.043))
+    dry, wet = (replace(places_of("of-64")[0], bright=bright) for bright in (0.247, 0.043))
     assert groups_of([dry, wet]) == [0, 0]
 
 
 def test_a_finished_run_warns_of_mixed_sensors(caplog):
     summary = RunSummary(sensor=SMALL)
-    for file, of_scan in zip(files("08", 5), [*OF["of-64"][:4], OF["of-16"][0]], strict=True):
+    for file, of_scan in zip(
+        files("08", 5), [*places_of("of-64")[:4], places_of("of-16")[0]], strict=True
+    ):
         summary.add(ScanSummary(file=file, check=ScanCheck(findings=(), traits=of_scan)))
     assert not caplog.messages
     (warning,) = summary.finished().warnings()
