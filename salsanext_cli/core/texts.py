@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 MAX_LISTED_NAMES = 3  # Files or scans that a message names
-LIKE = 0.6  # Least likeness of two words, as `difflib` measures it, of which one may mean the other
+LIKE = 0.6  # Least similarity (`difflib`) of a typed word and the word that a hint suggests
 SHOWN_CHARACTERS = 100  # Longest text of a wrong value in an error
 UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
 """Escapes of the bytes in file names that are not text, as Python decodes them."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.measures.risk_control import guarantee_text
 from salsanext_cli.core.network.card import INHERITED
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.weights.card_file import DescribedWeights
@@ -44,7 +44,7 @@ def card_table(file: DescribedWeights) -> Table:
         "widths": ", ".join(map(str, card.trained_widths)),
         "scores on the scans that chose the weights": _named(card.scores) or ABSENT,
         **(_error_rows(card.error.scores) if card.error else {}),
-        "risk threshold": card.risk and guarantee(card.risk),
+        "risk threshold": card.risk and guarantee_text(card.risk),
         "training scans": card.trained_on and f"{len(card.trained_on):,}",
         "size": f"{file.size / 1e6:.1f} MB",
         "SHA-256": file.sha256,

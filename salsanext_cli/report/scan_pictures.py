@@ -138,7 +138,7 @@ def picture_of_results(
     )
 
 
-def known_views(columns: Collection[str]) -> list[str]:
+def columns_from_above(columns: Collection[str]) -> list[str]:
     """Return two to four columns to show from above: labels, errors, uncertainty, measurements."""
     views = [colour for colour in ("truth", "label", "wrong") if colour in columns]
     views += [kind for kind in ("error", "entropy", *UNCERTAINTY) if kind in columns][:1]
@@ -147,7 +147,7 @@ def known_views(columns: Collection[str]) -> list[str]:
     return (views + ["intensity", "range"])[: max(2, len(views))]
 
 
-def known_strips(columns: Collection[str]) -> list[str]:
+def columns_of_strips(columns: Collection[str]) -> list[str]:
     """Return the columns to show as range images: all, and the height of a scan alone."""
     heights = () if _has_results(columns) else (HEIGHT,)
     return [colour for colour in (*heights, *COLOURINGS) if colour in columns]

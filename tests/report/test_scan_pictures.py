@@ -101,8 +101,8 @@ def test_points_that_are_not_judged_are_seen_and_named(results):
 def test_a_scan_alone_has_a_caption(results):
     alone = replace(results, label=None, truth=None, uncertainty={})
     columns = picture_columns(alone, SPACE)
-    assert scan_pictures.known_views(columns) == ["height", "intensity"]
-    assert scan_pictures.known_strips(columns) == ["height", "intensity", "range"]
+    assert scan_pictures.columns_from_above(columns) == ["height", "intensity"]
+    assert scan_pictures.columns_of_strips(columns) == ["height", "intensity", "range"]
     colours = ("height", "intensity")
     with_caption, without = pixels(draw(alone, *colours)), pixels(draw(results, *colours))
     assert with_caption.shape[0] > without.shape[0]

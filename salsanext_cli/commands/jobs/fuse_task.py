@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Task of `fuse`: the labels of a scan by the votes of all scans around it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.errors import SalsanextError
@@ -30,48 +29,75 @@ class FuseTask:
     space: LabelSpace
     sensor: Sensor
     reach: FusionReach
-    single: OutputRun  # Receives the votes against the labels of single scans
-    fused: OutputRun  # Receives the fused labels
+    single_run: OutputRun  # Receives the votes against the labels of single scans
+    fused_run: OutputRun  # Receives the fused labels
     max_chunk_scans: int = 400  # Neighbours share the contents of files.
 
-    def open(self) -> Callable[[ScanFile], ScanSummary]:
-        """Return the function of a scan; its window moves from one scan to the next."""
-        window_of = lru_cache(maxsize=1)(self._window)
-        numbers: dict[ScanFile, int] = {}
-        for files in self.members.values():
-            numbers |= {file: number for number, file in enumerate(files)}
-        return lambda file: self._fuse(file, numbers[file], window_of(file.sequence))
+    def open(self) -> "ScanFusion":
+        """Return the function of a scan."""
+        return ScanFusion(self)
 
-    def _window(self, sequence: str) -> FusionWindow:
-        """Return the window of a sequence, which reads scans by their number."""
+    def window(self, sequence: str) -> FusionWindow:
+        """Return the window of a sequence, which reads scans by their number.
+
+        Raises
+        ------
+        SalsanextError
+            That of the drive, if the sequence has none.
+        """
         drive = self.drives[sequence]
         if isinstance(drive, SalsanextError):
             raise drive
         files = self.members[sequence]
 
         def read(number: int) -> tuple[Float, Float]:
-            origin_of = recorded_origins(self.single.root, self.sensor)
-            points = points_of_drive(files[number], self.sensor, origin_of)
-            softmax = stored_softmax(self.single.root, files[number], len(points), self.space)
-            return points, softmax
+            return self._points_and_softmax(files[number])
 
         return FusionWindow(drive, read, self.reach, self.space.movable)
 
-    def _fuse(self, file: ScanFile, number: int, window: FusionWindow) -> ScanSummary:
-        """Fuse the labels of a scan, and write them with the disagreement."""
-        self.single.require_replaceable(file)
-        self.fused.require_replaceable(file)
+    def _points_and_softmax(self, file: ScanFile) -> tuple[Float, Float]:
+        """Return the points (N, 3) of a scan and their class probabilities (N, C)."""
+        root = self.single_run.root
+        points = points_of_drive(file, self.sensor, recorded_origins(root, self.sensor))
+        return points, stored_softmax(root, file, len(points), self.space)
+
+    def fuse(self, file: ScanFile, number: int, window: FusionWindow) -> ScanSummary:
+        """Fuse the labels of a scan, and write them with the disagreement.
+
+        `number`: index of the scan in its sequence; `window`: of that sequence.
+        """
+        self.single_run.require_replaceable(file)
+        self.fused_run.require_replaceable(file)
         tally = window.tally(number)
-        labels = self._labels_of_single_scan(file, len(tally.views))
+        labels = self._labels_of_single_scan(file, len(tally.scan_counts))
         fused_labels = tally.fused(labels)
-        self.single.write_array(file, DISAGREEMENT, tally.disagreement(labels))
-        self.single.write_array(file, "views", tally.views)
-        self.fused.write_array(file, DISAGREEMENT, tally.disagreement(fused_labels))
-        self.fused.write_array(file, "views", tally.views)
-        self.fused.write_labels(file, self.space.to_raw(fused_labels))
+        self.single_run.write_array(file, DISAGREEMENT, tally.disagreement(labels))
+        self.single_run.write_array(file, "views", tally.scan_counts)
+        self.fused_run.write_array(file, DISAGREEMENT, tally.disagreement(fused_labels))
+        self.fused_run.write_array(file, "views", tally.scan_counts)
+        self.fused_run.write_labels(file, self.space.to_raw(fused_labels))
         return ScanSummary.from_labels(file, fused_labels, self.space)
 
     def _labels_of_single_scan(self, file: ScanFile, count: int) -> TrainIds:
         """Read the predicted train ids of the points of a scan, (count,) uint8."""
-        path = output_path(self.single.root, file.sequence, "predictions", file.stem)
+        path = output_path(self.single_run.root, file.sequence, "predictions", file.stem)
         return self.space.to_train(read_labels(path, count), source=path)
+
+
+class ScanFusion:
+    """Function of a scan, whose window moves from one scan of a drive to the next."""
+
+    def __init__(self, task: FuseTask) -> None:
+        self.task = task
+        self.numbers: dict[ScanFile, int] = {}  # Index of each scan in its sequence
+        for files in task.members.values():
+            self.numbers |= {file: number for number, file in enumerate(files)}
+        self.sequence: str | None = None  # That of the window
+        self.window: FusionWindow | None = None
+
+    def __call__(self, file: ScanFile) -> ScanSummary:
+        """Fuse the labels of a scan."""
+        if self.window is None or file.sequence != self.sequence:
+            self.window = self.task.window(file.sequence)
+            self.sequence = file.sequence
+        return self.task.fuse(file, self.numbers[file], self.window)

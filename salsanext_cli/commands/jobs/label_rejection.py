@@ -10,7 +10,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.labelling import LabelledScan
-from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.measures.risk_control import guarantee_text
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.notices import NOTICE
@@ -97,7 +97,7 @@ def _threshold_of_weights(
     changed = _changed_settings(risk, settings, network, knn)
     if changed:
         raise _not_covered(changed[0], risk, settings, network)
-    log.log(NOTICE, "%s: %s", setting("reject", "risk"), guarantee(risk))
+    log.log(NOTICE, "%s: %s", setting("reject", "risk"), guarantee_text(risk))
     return risk
 
 

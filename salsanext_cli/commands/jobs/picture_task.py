@@ -18,7 +18,11 @@ from salsanext_cli.report.colours import (
     common_scales,
     require_colouring,
 )
-from salsanext_cli.report.scan_pictures import known_strips, known_views, picture_of_results
+from salsanext_cli.report.scan_pictures import (
+    columns_from_above,
+    columns_of_strips,
+    picture_of_results,
+)
 from salsanext_cli.runs.records.stage_settings import PictureSettings
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import ScanFile
@@ -67,8 +71,8 @@ class PictureTask:
             self.space,
             self.sensor,
             self.scales,
-            self.colours or known_views(columns),
-            self.colours or known_strips(columns),
+            self.colours or columns_from_above(columns),
+            self.colours or columns_of_strips(columns),
         )
         self.output.write(self.output.path(file, FOLDER), png)
 
@@ -85,7 +89,7 @@ def drawn_colours(
     results: ResultFolder, scans: Sequence[ScanFile], colours: Collection[str]
 ) -> list[str]:
     """Return each colour once, with a kind of uncertainty for "uncertainty"; refuse absent ones."""
-    kind = results.meant_uncertainty(scans)
+    kind = results.default_uncertainty(scans)
     drawn = dict.fromkeys(kind if colour == "uncertainty" else colour for colour in colours)
     for colour in drawn:
         results.require_column(colour, scans)

@@ -10,7 +10,7 @@ import typer
 from salsanext_cli.commands.line import arguments, console, summary
 from salsanext_cli.commands.line.interruption import ARRIVED
 from salsanext_cli.commands.line.option_fields import argument, names_in, option
-from salsanext_cli.commands.line.progress import over_results, progress
+from salsanext_cli.commands.line.progress import over_results, progress_display
 from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -44,7 +44,7 @@ def demo(
         samples=samples,
         settings=NetworkSettings(device=device, precision=AUTO, classes=space),
         options=RunOptions(jobs=jobs, cluster=cluster, overwrite=overwrite),
-        progress_of_step=lambda step: progress(step, output.quiet),
+        progress_of_step=lambda step: progress_display(step, output.quiet),
     )
     evaluation = demonstration.evaluation
     page = demonstration.page
@@ -150,10 +150,10 @@ def results_in(folder: Path) -> Path:
     """Return a folder of results; in a data set of `pick`, that of the picked scans."""
     from salsanext_cli.io.files.reading import is_folder, present
     from salsanext_cli.runs.labelling.picked_data_set import PREDICTED
-    from salsanext_cli.runs.results.layouts import PICKED
+    from salsanext_cli.runs.results.layouts import PICK_RECORD
 
     predicted = folder / PREDICTED
-    return predicted if present(folder / PICKED) and is_folder(predicted) else folder
+    return predicted if present(folder / PICK_RECORD) and is_folder(predicted) else folder
 
 
 def _forwarding(port: int, connection: str) -> str:

@@ -59,8 +59,7 @@ def command_on_labels(outcome: Outcome, out: Path, split: str | None) -> str | N
     summary = outcome.summary
     if summary is None:
         return None
-    if summary.space is None:
-        # The labels belong to pixels.
+    if not summary.has_point_labels:
         return next_command(outcome, ["knn-refine", out])
     if summary.labelled:
         return next_command(outcome, ["eval", out])

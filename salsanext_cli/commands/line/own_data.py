@@ -14,14 +14,12 @@ from salsanext_cli.commands.line.progress import over_scans, writing
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.texts import counted, printable, with_hint
 from salsanext_cli.runs.results.query import named_label_space
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.results.scan_selection import PICKED_SCANS, ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO, with_names
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.line.picked_labels import PickedLabels
     from salsanext_cli.core.sensors.sensor import Sensor
-
-PICKED = 10  # Number of scans that `pick` picks by default
 
 
 def inspect(
@@ -141,7 +139,7 @@ def pick(
     scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
     out: Path = arguments.NEW_DATASET,
     *,
-    count: int | None = option("Number of scans to pick.", show_default=str(PICKED)),
+    count: int | None = option("Number of scans to pick.", show_default=str(PICKED_SCANS)),
     names: Path | None = option(
         "Pick the scans whose names this text file lists, one per line.", "--from", metavar="FILE"
     ),
@@ -179,7 +177,7 @@ def pick(
         picking = stage(
             arguments.in_topic(scans, topic),
             out,
-            count=PICKED if count is None else count,
+            count=PICKED_SCANS if count is None else count,
             seed=seed,
             labelled=labelled or (),
             names=names,

@@ -22,7 +22,7 @@ from salsanext_cli.runs.results.query import ResultQuery
 if TYPE_CHECKING:
     from salsanext_cli.commands.stages.picture import PictureOutcome
 
-OF_SCANS = ("weights", "device", "precision", "engine", "min_range", "ego", "intensity")
+UNUSED_SETTINGS = ("weights", "device", "precision", "engine", "min_range", "ego", "intensity")
 """Fields of `NetworkSettings` that pictures of scans do not depend on."""
 
 RESULTS_OR_SCANS = argument(
@@ -48,7 +48,7 @@ def picture(
     scale: tuple[float, float] | None = arguments.SCALE,
     query: ResultQuery,
     topic: str | None = arguments.TOPIC,
-    settings: Annotated[arguments.Network, Without(OF_SCANS)],
+    settings: Annotated[arguments.Network, Without(UNUSED_SETTINGS)],
     origin: str | None = arguments.ORIGIN,
     running: RunOptions,
     output: console.Output,
@@ -59,7 +59,7 @@ def picture(
 
     Example: salsanext picture scan.pcd
     """
-    from salsanext_cli.commands.stages.picture import picture as of_results
+    from salsanext_cli.commands.stages.picture import picture as picture_results
     from salsanext_cli.commands.stages.picture import picture_scans
     from salsanext_cli.runs.results.result_folder import is_result_folder
 
@@ -69,28 +69,29 @@ def picture(
         _refuse_second_path(context, out, results)
         _refuse_options_of_scans(settings, origin, topic, results)
         with over_results("picture", running, output.quiet) as options:
-            outcome = of_results(
+            outcome = picture_results(
                 results, colours=colours, scale=scale, query=query, options=options
             )
         summary.print_summary_and_exit("picture", outcome, results, output)
-    places = arguments.scans_and_out(context, source, out, query.dataset, topic)
-    with over_scans("picture", running, output.quiet) as options:
-        outcome = picture_scans(
-            places.scans,
-            places.out,
-            colours=colours,
-            scale=scale,
-            settings=settings,
-            origin=arguments.position("--origin", origin),
-            query=query,
-            options=options,
+    else:
+        places = arguments.scans_and_out(context, source, out, query.dataset, topic)
+        with over_scans("picture", running, output.quiet) as options:
+            outcome = picture_scans(
+                places.scans,
+                places.out,
+                colours=colours,
+                scale=scale,
+                settings=settings,
+                origin=arguments.position("--origin", origin),
+                query=query,
+                options=options,
+            )
+        sources = places.scans if isinstance(places.scans, list) else [source]
+        options_of_scans = _typed_options(settings, origin, topic)
+        following = next_command(outcome, ["predict", *sources, places.out, *options_of_scans])
+        summary.print_summary_and_exit(
+            "picture", outcome, places.out, output, following=following, numbers=_numbers(outcome)
         )
-    sources = places.scans if isinstance(places.scans, list) else [source]
-    options_of_scans = _typed_options(settings, origin, topic)
-    following = next_command(outcome, ["predict", *sources, places.out, *options_of_scans])
-    summary.print_summary_and_exit(
-        "picture", outcome, places.out, output, following=following, numbers=_numbers(outcome)
-    )
 
 
 def _typed_options(settings: NetworkSettings, origin: str | None, topic: str | None) -> list[str]:

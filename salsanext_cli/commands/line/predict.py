@@ -57,6 +57,7 @@ class Extras:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the further results, as `predict_scans` takes them."""
+        # A fusion reads the probabilities of single scans, and their votes where there are none.
         is_requested = {
             "pixel_labels": self.pixel_labels,
             "probabilities": self.probabilities,
@@ -130,9 +131,11 @@ def predict(
         extras.require_fusable(source, out, running)
     settings = replace(settings, classes=classes)
     position = arguments.position("--origin", origin)
-    images = source if isinstance(source, Path) and projected_sensor(source) is not None else None
+    range_images: Path | None = None  # Output of `project`, if that is the source
+    if isinstance(source, Path) and projected_sensor(source) is not None:
+        range_images = source
     if dry_run:
-        if images is not None:
+        if range_images is not None:
             raise UsageError("--dry-run", "plans no range images", "scans as the source")
         plan = plan_prediction(
             source,
@@ -148,13 +151,13 @@ def predict(
         print_plan("predict", plan, out, output)
         return
     with over_scans("predict", running, output.quiet) as options:
-        if images is not None:
+        if range_images is not None:
             _refuse_options_of_points(extras, knn, batch, position)
-            outcome = predict_range_images(
-                images, out, settings=settings, selection=selection, options=options
+            prediction = predict_range_images(
+                range_images, out, settings=settings, selection=selection, options=options
             )
         else:
-            outcome = predict_scans(
+            prediction = predict_scans(
                 source,
                 out,
                 settings=settings,
@@ -166,10 +169,11 @@ def predict(
                 selection=selection,
                 options=options,
             )
+    outcome = prediction
     folder_of_labels = out
-    if extras.fuse and outcome.has_results:
+    if extras.fuse and prediction.has_results:
         folder_of_labels = out / FUSED
-        outcome = _then_fused(outcome, out, folder_of_labels, selection, running, output)
+        outcome = _with_fusion(prediction, out, folder_of_labels, selection, running, output)
     following = command_on_labels(outcome, folder_of_labels, selection.split)
     numbers = _numbers(outcome, extras.threshold, _advice(settings, outcome, out))
     summary.print_summary_and_exit(
@@ -210,7 +214,7 @@ def _rejection_line(outcome: "PredictOutcome", rejected: int, threshold: float |
 
 def _advice(settings: NetworkSettings, outcome: "PredictOutcome", out: Path) -> str:
     """Return a line about a faster option for a long run; an empty text if there is none."""
-    from salsanext_cli.core.engines.device import bfloat16_instructions, flags
+    from salsanext_cli.core.engines.device import bfloat16_instructions, processor_flags
     from salsanext_cli.core.engines.registry import computes_int8
     from salsanext_cli.runs.results.manifest import Manifest
 
@@ -219,30 +223,30 @@ def _advice(settings: NetworkSettings, outcome: "PredictOutcome", out: Path) -> 
     recorded = Manifest(out).settings("predict")
     if recorded is None or not computes_int8(recorded.engine):
         return ""
-    if bfloat16_instructions() or "avx2" not in flags():
+    if bfloat16_instructions() or "avx2" not in processor_flags():
         return ""
     return "faster: --precision int8 takes about 60 % of the time; about 1 % of the labels differ"
 
 
-def _then_fused(
-    outcome: "PredictOutcome",
+def _with_fusion(
+    prediction: "PredictOutcome",
     out: Path,
     target: Path,
     selection: ScanSelection,
     running: RunOptions,
     output: console.Output,
 ) -> "PredictOutcome":
-    """Fuse the predictions into a folder; return the outcome of both steps."""
+    """Fuse the labels of a prediction into a folder; return the outcome of both steps."""
     from salsanext_cli.commands.stages.fuse import fuse_results
 
     _wait_for_other_runs(out, output)
     with over_scans("fuse", running, output.quiet) as options:
         fused = fuse_results(out, target, query=ResultQuery(selection=selection), options=options)
     output.print(f"fuse: {counted(fused.done, 'scan')} → {target}")
-    if outcome.summary is not None and fused.summary is not None:
-        outcome.summary.findings.update(fused.summary.findings)
-    failures = dict.fromkeys((*outcome.failures, *fused.failures))
-    return replace(outcome, failures=tuple(failures))
+    if prediction.summary is not None and fused.summary is not None:
+        prediction.summary.findings.update(fused.summary.findings)
+    failures = dict.fromkeys((*prediction.failures, *fused.failures))
+    return replace(prediction, failures=tuple(failures))
 
 
 def _wait_for_other_runs(out: Path, output: console.Output) -> None:

@@ -25,7 +25,7 @@ LINE_INTERVAL_S = 30.0  # Time between two lines of progress in a log file
 
 
 @contextmanager
-def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress | None"]:
+def progress_display(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress | None"]:
     """Show the progress of the body on stderr: units done, rate and time left."""
     if quiet:
         yield None
@@ -34,21 +34,21 @@ def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator["Progress
             task = bar.add_task(label, total=None)
             yield lambda done, total: bar.update(task, completed=done, total=total)
     else:
-        yield Lines(label, unit)
+        yield ProgressLines(label, unit)
 
 
 @dataclasses.dataclass(slots=True, eq=False, kw_only=True)
-class Written:
+class ProcessedUnits:
     """Progress of a body that writes the results of each unit, or all of them at its end."""
 
     unit: str  # Plural, such as "scans"
     at_end: bool
     show: "Progress | None"  # Shows the progress, if anything does
-    done: int = 0  # Number of finished units
+    done: int = 0  # Number of processed units
     total: int = 0  # Number of all units
 
     def __call__(self, done: int, total: int) -> None:
-        """Note and show the number of finished units and of all; end after a dropped signal."""
+        """Note and show the number of processed units and of all; end after a dropped signal."""
         self.done = done
         self.total = total
         if self.show:
@@ -70,10 +70,10 @@ def writing(
     label: str, quiet: bool, unit: str = "scans", *, at_end: bool = False
 ) -> Iterator["Progress"]:
     """Show the progress of the body, and state what is finished if it is interrupted."""
-    with progress(label, quiet, unit) as bar:
-        written = Written(unit=unit, at_end=at_end, show=bar)
-        with on_interruption(written.finished):
-            yield written
+    with progress_display(label, quiet, unit) as show:
+        units = ProcessedUnits(unit=unit, at_end=at_end, show=show)
+        with on_interruption(units.finished):
+            yield units
 
 
 @contextmanager
@@ -102,14 +102,14 @@ def over_results(
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Reached:
+class UnitsAtTime:
     """Number of units that were done at a time."""
 
     done: int
     time: float  # Seconds of a clock
 
 
-class Lines:
+class ProgressLines:
     """Progress as lines of text, at most one in `LINE_INTERVAL_S` of a clock in seconds.
 
     The rate is measured from the first finished unit on, because that one includes the time to
@@ -121,7 +121,7 @@ class Lines:
         self.unit = unit
         self.clock = clock
         self.last = clock()
-        self.first: Reached | None = None
+        self.first: UnitsAtTime | None = None
 
     def __call__(self, done: int, total: int) -> None:
         """Print a line if one is due."""
@@ -129,7 +129,7 @@ class Lines:
             return
         now = self.clock()
         if self.first is None:
-            self.first = Reached(done, now)
+            self.first = UnitsAtTime(done, now)
         if now - self.last < LINE_INTERVAL_S or done == total:
             return
         self.last = now
@@ -159,19 +159,29 @@ def duration_text(seconds: float) -> str:
 
 
 def _bar(unit: str) -> "Bar":
-    from rich import console, progress, text
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
 
-    class RateColumn(progress.ProgressColumn):
-        def render(self, task: progress.Task) -> text.Text:
+    class RateColumn(ProgressColumn):
+        def render(self, task: Task) -> Text:
             speed = task.finished_speed or task.speed
-            return text.Text(rate_text(speed, unit) if speed else "")
+            return Text(rate_text(speed, unit) if speed else "")
 
-    return progress.Progress(
+    return Progress(
         "{task.description}",
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
+        BarColumn(),
+        MofNCompleteColumn(),
         RateColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-        console=console.Console(stderr=True),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
     )

@@ -48,6 +48,7 @@ def project(
             selection=selection,
             options=options,
         )
+    # OUT has the range images, and gets the labels of their pixels.
     following = next_command(outcome, ["predict", out, out], _network_as_typed(settings))
     summary.print_summary_and_exit(
         "project", outcome, out, output, following=following, strict=strict

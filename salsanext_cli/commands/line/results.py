@@ -166,10 +166,8 @@ def evaluate(
         metavar="LIMITS",
     ),
     fail_over: str | None = option(
-        "Exit with status 1 if a score is above its limit in %, such as ece=2. guarantee takes the "
-        "limit of `tune risk`: the points of known classes that are accepted and wrong must not "
-        "exceed it on average over the scans or drives. After `tune risk --confidence`, the share "
-        "of scans or drives that exceed it is limited instead.",
+        "Exit with status 1 if a score is above its limit in %, such as ece=2; guarantee has the limit "
+        "of `tune risk`.",
         metavar="LIMITS",
     ),
     query: ResultQuery,

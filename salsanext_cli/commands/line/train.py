@@ -15,7 +15,7 @@ from salsanext_cli.commands.line.option_fields import (
     option_group,
     running_option,
 )
-from salsanext_cli.commands.line.progress import progress
+from salsanext_cli.commands.line.progress import progress_display
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.runs.results.query import named_label_space
@@ -111,7 +111,7 @@ def train(
         output = console.Output(quiet=True)
         console.log_to_stderr(quiet=True)
     with (
-        progress("train", output.quiet, unit="steps") as bar,
+        progress_display("train", output.quiet, unit="steps") as bar,
         on_interruption(lambda: resumption(run)),
     ):
         result = stage(

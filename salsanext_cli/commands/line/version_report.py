@@ -16,7 +16,7 @@ NOT_LISTED = {"dev", "docs"}
 
 def version_lines() -> Iterator[str]:
     """Yield a line for each package, the device, the instructions of the CPU, and the extras."""
-    from salsanext_cli.core.engines.device import choose_device, flags
+    from salsanext_cli.core.engines.device import choose_device, processor_flags
     from salsanext_cli.core.engines.machine import computing_packages, processor_name, version_of
 
     yield f"salsanext {__version__}"
@@ -25,7 +25,8 @@ def version_lines() -> Iterator[str]:
         yield f"{name} {version_of(name) or 'is not installed'}"
     yield f"device: {choose_device('auto')}"
     yield f"CPU: {processor_name()}"
-    yield f"instructions: {', '.join(name for name in INSTRUCTIONS if name in flags()) or 'others'}"
+    instructions = [name for name in INSTRUCTIONS if name in processor_flags()]
+    yield f"instructions: {', '.join(instructions) or 'others'}"
     yield f"extras: {', '.join(_installed_extras()) or 'none'}"
 
 

@@ -97,7 +97,7 @@ def export_ply(
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     if colour == "uncertainty":
-        colour = results.meant_uncertainty(chosen.scans)
+        colour = results.default_uncertainty(chosen.scans)
     results.require_column(colour, chosen.scans)
     destination = _destination(results, colour)
     origins = results.manifest.origins(PREDICTION_STAGES)

@@ -86,17 +86,21 @@ def fuse_results(
         fusible.scans,
         overwrite=options.overwrite,
     )
-    with votes as single, labels as fused, recorded_summary(summary, fused, fusible.scans):
+    with (
+        votes as single_run,
+        labels as fused_run,
+        recorded_summary(summary, fused_run, fusible.scans),
+    ):
 
         def drive_of(name: str) -> Drive:
             files = fusible.members[name]
-            return drive_of_run(files, drives_by_poses[name], single, fused, fusible.sensor)
+            return drive_of_run(files, drives_by_poses[name], single_run, fused_run, fusible.sensor)
 
         drives = by_sequence(fusible.sequences, drive_of, stop=stop)
 
         def is_done(file: ScanFile) -> bool:
             has_drive = isinstance(drives[file.sequence], Drive)
-            return has_drive and single.is_done(file) and fused.is_done(file)
+            return has_drive and single_run.is_done(file) and fused_run.is_done(file)
 
         for name, drive in drives.items():
             if isinstance(drive, Drive):
@@ -107,8 +111,8 @@ def fuse_results(
             space=fusible.space,
             sensor=fusible.sensor,
             reach=reach,
-            single=single,
-            fused=fused,
+            single_run=single_run,
+            fused_run=fused_run,
         )
         outcome = run_over_scans(
             task, fusible.scans, options, is_done=is_done, summary=summary, writes=[out, target]

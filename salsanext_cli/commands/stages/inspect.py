@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.core.checks.scan_checks import ALONE, check_scan, fit_hint
+from salsanext_cli.core.checks.scan_checks import OTHER_SENSOR_HINT, check_scan, fit_hint
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fitting.sensor_groups import sensor_groups
@@ -24,7 +24,7 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.weights.card_file import default_weights, read_card
-from salsanext_cli.runs.fit.mixed_sensors import APART
+from salsanext_cli.runs.fit.mixed_sensors import SEPARATE_FOLDERS_HINT
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.fit.stated_origin import origin_in_frame
@@ -124,7 +124,7 @@ def inspect(
     """
     scans = select_scans(source, selection, space)
     files = find_scans(source)
-    hint = ALONE if fit else fit_hint()
+    hint = OTHER_SENSOR_HINT if fit else fit_hint()
     if origin is not None:
         fit_mounting = False
         sensor = replace(sensor, origin=origin_in_frame(origin, files, sensor))
@@ -137,9 +137,9 @@ def inspect(
                 sensor = _with_field_of_view(sensor, first_pass.total)
     elif as_predict:
         sensor = fitted_view(files, sensor, mounting=fit_mounting)
-        hint = ALONE
+        hint = OTHER_SENSOR_HINT
     elif len(sensor_groups(sample_of_files(files, sensor).scans, sensor)) > 1:
-        hint = APART
+        hint = SEPARATE_FOLDERS_HINT
     return _inspect(scans, sensor, space, options, hint)
 
 
@@ -152,7 +152,7 @@ def _fitted_sensor(
     fitted = fitted_view(files, start, mounting=mounting)
     if fitted.others:
         problem = f"has scans of {len(fitted.members)} sensors"
-        raise NoInputError(source, problem, "scans of one sensor", APART)
+        raise NoInputError(source, problem, "scans of one sensor", SEPARATE_FOLDERS_HINT)
     return fitted
 
 

@@ -144,7 +144,7 @@ def _space_of_pixels(results: ResultFolder, space: LabelSpace | None) -> LabelSp
     recorded = results.manifest.label_space("pixel_labels")
     if recorded and space and not recorded.fits(space):
         problem = f"{space.name}, but the pixel labels have the classes of {recorded.name}"
-        hint = f"predict with {argument('classes')}, or leave it out"
+        hint = f"predict with {argument('classes')}, or omit it"
         raise UsageError(argument("space"), problem, hint=hint)
     return space or recorded or results.manifest.label_space()
 

@@ -51,7 +51,7 @@ from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
 from salsanext_cli.runs.results.named_scans import named_scans, read_names
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.results.scan_selection import PICKED_SCANS, ScanSelection
 from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
@@ -87,7 +87,7 @@ def pick(
     source: Path,
     out: Path,
     *,
-    count: int = 10,
+    count: int = PICKED_SCANS,
     seed: int = 0,
     settings: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),

@@ -167,7 +167,7 @@ def picture_scans(
     sensor = fitted_view(
         listed,
         requested or settings.trained_sensor(),
-        None if requested else results.manifest.known_sensor(),
+        None if requested else results.manifest.recorded_sensor(),
         view=settings.fits_view,
         mounting=settings.fits_mounting,
     )
@@ -211,7 +211,7 @@ class PictureRun:
     def recorded_sensor(self) -> Sensor | None:
         """Sensor of the results of the folder, else of the pictures that this run continues."""
         continued = self.continued
-        return self.results.manifest.known_sensor() or (continued.sensor if continued else None)
+        return self.results.manifest.recorded_sensor() or (continued.sensor if continued else None)
 
     def _origins(self) -> dict[str, str]:
         return self.results.manifest.origins(PREDICTION_STAGES)

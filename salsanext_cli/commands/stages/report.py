@@ -211,7 +211,7 @@ def read_run(
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     without_truth = pre_labelled_scans(chosen.scans)
-    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.manifest.known_sensor()):
+    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.manifest.recorded_sensor()):
         without_truth = chosen.scans
     reader = replace(
         ScanComparison.from_results(results.manifest, chosen.space, chosen.labels),

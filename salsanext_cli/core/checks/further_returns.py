@@ -10,7 +10,7 @@ import numpy as np
 from salsanext_cli.core.records import Double, Float, Indices, Mask
 
 STEPS = (1, 16, 32, 64, 128)
-"""Places from one return of a pulse to the next: next to each other, or after so many beams."""
+"""Points of the file from one return of a pulse to the next: adjacent, or after so many beams."""
 HALVES = 2  # Parts of a file of which each has one return of every pulse
 MIN_GAP_M = 0.3  # Least distance between the ranges of two returns of a pulse
 MAX_OFFSET_M = 0.3

@@ -8,20 +8,19 @@ import numpy.typing as npt
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.classes.label_space import MAX_COARSE_CLASSES, LabelSpace
 from salsanext_cli.core.geometry.scan_traits import MIN_TRAIT_POINTS
 from salsanext_cli.core.texts import percentage
 
 MAX_SHARE = 0.75  # Largest credible share of a class in a scan; an empty crossroads had 0.6
-FEW_CLASSES = 10  # Label spaces of at most so many classes, class 0 included, are coarse
 MAX_SHARE_OF_FEW = 0.85
 """The same for few classes, as in `coarse`; right settings gave at most 0.67."""
 MIN_CLASSES = 5
 """One of fewer classes may cover a whole scan. Both numbers include the class "unlabelled"."""
 MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; cities had 0.62 or more
 MIN_CONFIDENCE_OF_FEW = 0.74  # The same for few classes; cities had 0.79 or more in `coarse`
-USUAL = "check the sensor and its settings"
-LOOK = "look at the labels"
+SETTINGS_HINT = "check the sensor and its settings"
+LABELS_HINT = "look at the labels"
 """End of the hints about labels, after which a run names the command."""
 
 
@@ -43,7 +42,7 @@ def label_findings(
     ------
     Finding
     """
-    has_few = space.class_count <= FEW_CLASSES
+    has_few = space.class_count <= MAX_COARSE_CLASSES
     if space.class_count >= MIN_CLASSES:
         total = int(points[1:].sum())
         largest = int(points[1:].argmax()) + 1
@@ -52,7 +51,7 @@ def label_findings(
             share = (
                 f"{percentage(points[largest] / total, 0)} of the points are {space.names[largest]}"
             )
-            yield Finding(WarningCode.ONE_CLASS, share, LOOK)
+            yield Finding(WarningCode.ONE_CLASS, share, LABELS_HINT)
     if confidence < (MIN_CONFIDENCE_OF_FEW if has_few else MIN_CONFIDENCE):
         mean = f"the labels have a mean probability of {confidence:.2f}"
-        yield Finding(WarningCode.LOW_CONFIDENCE, mean, f"{USUAL}; {LOOK}")
+        yield Finding(WarningCode.LOW_CONFIDENCE, mean, f"{SETTINGS_HINT}; {LABELS_HINT}")

@@ -29,7 +29,7 @@ from salsanext_cli.core.checks.structure_checks import (
     structure_findings,
     survey_hint,
 )
-from salsanext_cli.core.checks.training_checks import APART, training_findings
+from salsanext_cli.core.checks.training_checks import SEPARATE_RUN_HINT, training_findings
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.geometry.ground import (
@@ -46,6 +46,7 @@ from salsanext_cli.core.geometry.scan_traits import (
     intensity_of,
     sines_of,
 )
+from salsanext_cli.core.geometry.sectors import occupied_sectors
 from salsanext_cli.core.geometry.sensor_frame import ego_points, in_sensor_frame
 from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan
@@ -61,13 +62,15 @@ MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room 
 MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
 FEW_OF_ROW = 0.1  # Least share of the mean points of a row in a row that counts
 MIN_ROWS = 0.35  # Least usual share of rows that count; scans had 0.47 or more
-SECTORS = 64  # Equal parts of the directions around, as seen from above
 MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
 
-ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
-IN_MAP = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
-TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
+OTHER_SENSOR_HINT = (
+    "expect wrong labels; if the other scans are of another sensor or mounting, "
+    f"{SEPARATE_RUN_HINT}"
+)
+POSE_HINT = "expect wrong labels: correct its pose, or `salsanext predict` this scan alone"
+TRAINING_HINT = "expect worse labels, or `salsanext train` weights on such scans"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,8 +199,8 @@ def _fit_hint(sensor: Sensor, trained: Sensor | None, fit: str) -> str:
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         return setting("sensor", "auto")
     if sensor.registered:  # A fit to all scans, or a position of all, does not help one of them.
-        return IN_MAP
-    return fit or (fit_hint() if sensor is trained else ALONE)
+        return POSE_HINT
+    return fit or (fit_hint() if sensor is trained else OTHER_SENSOR_HINT)
 
 
 def _mounting_findings(
@@ -279,7 +282,9 @@ def _unit_findings(ranges: Double, measured_share: float, notes: FileNotes) -> I
         yield Finding(WarningCode.UNITS, problem, hint)
     if far < MIN_FAR_M:
         yield Finding(
-            WarningCode.INDOOR, f"99 % of the points lie within {far:.0f} m, as in a room", TRAIN
+            WarningCode.INDOOR,
+            f"99 % of the points lie within {far:.0f} m, as in a room",
+            TRAINING_HINT,
         )
     if measured_share < MIN_MEASURED:
         problem = f"{percentage(1 - measured_share, 0)} of the points are not measurements"
@@ -294,13 +299,12 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         problem = f"{percentage(outside, 0)} of the points lie outside the field of view of {view}"
         yield Finding(WarningCode.OUT_OF_VIEW, problem, fit)
-    turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
-    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
+    around = occupied_sectors(scan.points)
     if around < MIN_SECTORS:
         is_wide = around >= FEW_SECTORS
         code = WarningCode.PART_OF_CIRCLE if is_wide else WarningCode.FEW_DIRECTIONS
         yield Finding(
-            code, f"has points in {percentage(around, 0)} of the directions around", TRAIN
+            code, f"has points in {percentage(around, 0)} of the directions around", TRAINING_HINT
         )
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
@@ -310,7 +314,7 @@ def _view_findings(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterat
         problem = (
             f"has points in {percentage(occupied, 0)} of the {sensor.height} rows of the image"
         )
-        yield Finding(WarningCode.SPARSE, problem, TRAIN)
+        yield Finding(WarningCode.SPARSE, problem, TRAINING_HINT)
 
 
 def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -325,7 +329,7 @@ def _ground_findings(ground: Ground | None, sensor: Sensor, fit: str) -> Iterato
         where = "above" if ground.height > 0 else "below"
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
-        hint = IN_MAP if sensor.registered else _raised(ground, sensor)
+        hint = POSE_HINT if sensor.registered else _raised(ground, sensor)
         yield Finding(WarningCode.HEIGHT, f"the origin of the points is {height} the ground", hint)
 
 
@@ -343,7 +347,7 @@ def _place_findings(misplaced: PlaceProblem | None, sensor: Sensor, fit: str) ->
         return
     hint = origin_hint()
     if sensor.registered:
-        hint = IN_MAP
+        hint = POSE_HINT
     elif misplaced.remedy:
         hint = f"{fit}, or write {misplaced.remedy} into a file for {argument('sensor')}"
     yield Finding(WarningCode.OUT_OF_PLACE, misplaced.problem, hint)

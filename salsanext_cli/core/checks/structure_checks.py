@@ -13,6 +13,7 @@ from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.scan_structure import structure_of
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.geometry.beam_origin import sharpness
+from salsanext_cli.core.geometry.sectors import occupied_sectors
 from salsanext_cli.core.records import FileNotes, Float, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.core.texts import percentage
@@ -30,16 +31,15 @@ MAX_ROUGHNESS = 0.015
 0.023 or more."""
 MAX_IN_AIR = 0.007
 """Largest share of points in the air; scans had up to 0.004, in light fog and snow 0.009."""
-SECTORS = 64  # Directions around
-MAX_SECTORS = 0.6  # Largest share of them in a depth image
+MAX_SECTORS = 0.6  # Largest share of the directions around with a point of a depth image
 MIN_SHARPNESS = 2.0
 """Least sharpness of the rows of a sensor with few directions; a depth image had up to 1.5."""
-SINGLE_SCANS = "label the single scans, then `salsanext fuse`"
-IF_SINGLE = (
+FUSION_HINT = "label the single scans, then `salsanext fuse`"
+SINGLE_SCAN_HINT = (
     "if it is a single scan, keep one return of each pulse, or set the `origin` of its sensor"
 )
-CLEAN = "expect wrong labels: remove such points, or `salsanext train` weights on such scans"
-LIDAR = "expect wrong labels: the weights know scans of rotating sensors"
+NOISE_HINT = "expect wrong labels: remove such points, or `salsanext train` weights on such scans"
+ROTATING_SENSOR_HINT = "expect wrong labels: the weights know scans of rotating sensors"
 
 
 def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
@@ -51,12 +51,12 @@ def structure_findings(scan: Scan, sensor: Sensor) -> Iterator[Finding]:
     # once, the vehicles that carried the sensor float.
     if structure.roughness > MAX_ROUGHNESS:
         problem = f"neighbouring ranges differ by {percentage(structure.roughness)}, as by noise"
-        yield Finding(WarningCode.NOISY, f"{problem} or in dense fog", CLEAN)
+        yield Finding(WarningCode.NOISY, f"{problem} or in dense fog", NOISE_HINT)
     elif structure.in_air > MAX_IN_AIR and structure.hidden <= MAX_HIDDEN_IN_FOG:
         problem = (
             f"{percentage(structure.in_air)} of the points float near the sensor, as in fog or snow"
         )
-        yield Finding(WarningCode.NEAR_RETURNS, problem, CLEAN)
+        yield Finding(WarningCode.NEAR_RETURNS, problem, NOISE_HINT)
     else:
         yield from _accumulated_findings(structure.hidden, scan.notes)
 
@@ -104,13 +104,13 @@ def _remedy(notes: FileNotes) -> str:
     if split is None and notes.frame != ORIGIN:
         return survey_hint()
     if split is None:
-        return f"{SINGLE_SCANS}; {IF_SINGLE}"
+        return f"{FUSION_HINT}; {SINGLE_SCAN_HINT}"
     values = f"its field {split.field} has {split.count} values"
     if split.kind == "sensor":
         return f"{values}: split the file by it, and label each sensor in a folder of its own"
     if split.kind == "scan":
-        return f"{values}: split the file by it, then {SINGLE_SCANS}"
-    return f"split the file by the times of its field {split.field}, then {SINGLE_SCANS}"
+        return f"{values}: split the file by it, then {FUSION_HINT}"
+    return f"split the file by the times of its field {split.field}, then {FUSION_HINT}"
 
 
 def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:
@@ -120,9 +120,9 @@ def depth_image_findings(points: Float, no_intensity: str) -> Iterator[Finding]:
     """
     if not no_intensity:
         return
-    turns = np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) + 0.5
-    sectors = np.unique((turns * SECTORS).astype(np.intp) % SECTORS)
-    share = len(sectors) / SECTORS
+    share = occupied_sectors(points)
     if share < MAX_SECTORS and sharpness(points.astype(np.float64), np.zeros(3)) < MIN_SHARPNESS:
         problem = f"no intensities, no rows, and {percentage(share, 0)} of the directions around"
-        yield Finding(WarningCode.DEPTH_IMAGE, f"has {problem}, as a depth image", LIDAR)
+        yield Finding(
+            WarningCode.DEPTH_IMAGE, f"has {problem}, as a depth image", ROTATING_SENSOR_HINT
+        )

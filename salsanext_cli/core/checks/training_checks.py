@@ -16,7 +16,7 @@ from salsanext_cli.core.texts import first_few, percentage
 from salsanext_cli.core.wording import argument, setting
 
 MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of training is unknown
-APART = "label it alone, into another folder"
+SEPARATE_RUN_HINT = "label it alone, into another folder"
 COLUMNS = "x,y,z,_,intensity"  # Example for a hint
 
 
@@ -57,11 +57,11 @@ def _image_findings(sensor: Sensor, trained: Sensor) -> Iterator[Finding]:
     if size != trained_size:
         sizes = f"{size[0]}×{size[1]} pixels, and {trained_size[0]}×{trained_size[1]}"
         settings = f"{argument('width')}, or height and width in the sensor file"
-        hint = f"accuracy drops: leave out {settings}"
+        hint = f"accuracy drops: omit {settings}"
         yield Finding(WarningCode.OTHER_IMAGES, f"the images have {sizes} in training", hint)
     elif any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
         problem = "the sensor file changes the normalisation of the images"
-        hint = "accuracy drops: leave means and stds out of the file"
+        hint = "accuracy drops: omit means and stds from the file"
         yield Finding(WarningCode.OTHER_IMAGES, problem, hint)
 
 
@@ -102,7 +102,9 @@ def _scale_findings(bright: float, sensor: Sensor, trained: Sensor) -> Iterator[
     if not is_doubtful:
         return
     problem = f"{percentage(BRIGHT, 0)} of the intensities are below {bright:.3g}, {comparison}"
-    yield Finding(WarningCode.INTENSITY_SCALE, problem, APART if matched else _scale_hint(trained))
+    yield Finding(
+        WarningCode.INTENSITY_SCALE, problem, SEPARATE_RUN_HINT if matched else _scale_hint(trained)
+    )
 
 
 def _scale_hint(trained: Sensor) -> str:

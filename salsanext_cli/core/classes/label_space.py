@@ -49,6 +49,7 @@ KEYS = (
     "movable",
     "asprs",
 )
+MAX_COARSE_CLASSES = 10  # Label spaces of at most so many classes, class 0 included, are coarse
 MAX_UNKNOWN_SHARE = 0.1
 """Largest tolerated share of points with unknown ids; other data sets had 0.4 or more."""
 MOVING = "moving-"  # Start of the names of moving classes, which only multi-scan tasks distinguish

@@ -107,7 +107,7 @@ def floats_of_device(device: str) -> tuple[str, ...]:
 
 
 @cache
-def flags() -> frozenset[str]:
+def processor_flags() -> frozenset[str]:
     """Return the flags of the processor; empty on other systems than Linux."""
     text = CPUINFO.read_text("utf-8") if CPUINFO.exists() else ""
     lines = [line for line in text.splitlines() if line.startswith(("flags", "Features"))]
@@ -117,12 +117,18 @@ def flags() -> frozenset[str]:
 def bfloat16_instructions() -> list[str]:
     """Return the flags of instructions that multiply bfloat16 and that the environment allows."""
     limit = _isa_limit()
-    return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
+    return [
+        f
+        for f in BFLOAT16_ISA
+        if f in processor_flags() and any(p in limit for p in BFLOAT16_ISA[f])
+    ]
 
 
 def multiplies_tiles_of_bytes() -> bool:
     """Return whether the CPU multiplies tiles of bytes (AMX) and the environment allows it."""
-    return BYTE_TILES in flags() and any(p in _isa_limit() for p in BFLOAT16_ISA["amx_bf16"])
+    return BYTE_TILES in processor_flags() and any(
+        p in _isa_limit() for p in BFLOAT16_ISA["amx_bf16"]
+    )
 
 
 def _isa_limit() -> str:
@@ -168,4 +174,4 @@ def number_type_of_labels(precision: str) -> str:
 
 def processor() -> str:
     """Return a text that identifies the instructions available to compiled code."""
-    return f"{platform.machine()} {sorted(flags())} {_isa_limit()}"
+    return f"{platform.machine()} {sorted(processor_flags())} {_isa_limit()}"

@@ -91,7 +91,7 @@ def compiled_graph(
     threads : int
         Number of threads in all.
     streams : int
-        Number of calls that they compute in parallel, which does not change a bit.
+        Number of calls that they compute in parallel; the results are the same.
 
     Returns
     -------

@@ -15,8 +15,8 @@ from salsanext_cli.core.geometry.scan_traits import (
     ScanTraits,
     groups_of,
     kinds_of,
+    median_traits,
     traits_of,
-    usual_traits,
 )
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_place import find_place
@@ -136,7 +136,7 @@ def _moving_groups(placed_scans: Sequence[_PlacedScan]) -> list[SensorGroup]:
         numbers[nearest].append(placed.number)
     groups = []
     for members, group_numbers in zip(moving, numbers, strict=True):
-        traits = usual_traits([placed.traits for placed in members])
+        traits = median_traits([placed.traits for placed in members])
         groups.append(SensorGroup(tuple(sorted(group_numbers)), traits))
     return groups
 

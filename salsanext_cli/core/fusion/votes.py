@@ -70,17 +70,19 @@ class Tally:
     """Votes of all scans for the points of one scan."""
 
     probabilities: Float  # (N, C) float32: mean of the votes, 0 without a vote
-    views: npt.NDArray[np.uint16]  # (N,): number of scans that see the location, 0 without a vote
+    scan_counts: npt.NDArray[
+        np.uint16
+    ]  # (N,): number of scans that see the location, 0 without a vote
 
     def fused(self, labels: TrainIds) -> TrainIds:
         """Return the labels (N,) by all scans that see the points; unlabelled points stay so."""
         fused = (self.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
-        return np.where((self.views > 1) & (labels > 0), fused, labels)
+        return np.where((self.scan_counts > 1) & (labels > 0), fused, labels)
 
     def disagreement(self, labels: TrainIds) -> Float:
         """Return the share of votes against each label, (N,) float32; NaN without any vote."""
         share = 1 - np.take_along_axis(self.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
-        return np.where((self.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
+        return np.where((self.scan_counts > 0) & (labels > 0), share, np.nan).astype(np.float32)
 
 
 def keys_of(points: Double, size: float) -> Keys:
@@ -192,7 +194,7 @@ def tally(scan: VoxelVotes, others: Iterable[OtherVotes], stands: npt.NDArray[np
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
     shares[:-1] = means / np.maximum(means.sum(axis=1, keepdims=True), 1)
     views = np.append(seen, np.uint16(0))
-    return Tally(probabilities=shares[scan.voxel_of_point], views=views[scan.voxel_of_point])
+    return Tally(probabilities=shares[scan.voxel_of_point], scan_counts=views[scan.voxel_of_point])
 
 
 @compiled

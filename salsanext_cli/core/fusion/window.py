@@ -83,7 +83,7 @@ class FusionWindow:
             ]
             tallies.append(tally(votes, other_votes, self._stands(votes, scan, others)))
         mean = np.mean([sums.probabilities for sums in tallies], axis=0)
-        return Tally(probabilities=mean, views=tallies[-1].views)
+        return Tally(probabilities=mean, scan_counts=tallies[-1].scan_counts)
 
     def _other_votes(self, votes: VoxelVotes, distance: int) -> OtherVotes:
         """Return the votes of a scan at a distance in scans, which decides what it counts for."""

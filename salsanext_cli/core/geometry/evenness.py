@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
+from salsanext_cli.core.geometry.sectors import SECTORS, sector_of_points
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Indices, Scan
 
 FEW_POINTS = 4096  # Points that show whether a scan is seen from a position
 MIN_POINTS = 1000  # Fewest points that show a position
 ROWS = 182  # Cells of one degree from straight down to straight up, with an offset
 VEHICLE_M = 3.0  # Nearer points may be the vehicle
-SECTORS = 64
 EMPTY = 0.25  # Share of the mean points below which a sector is empty
 ROUND = 0.6  # Least share of sectors with points of a sensor that turns; the others see a fan
 CROWDED = 3.0  # Most points of a sector, as a multiple of the mean, around a sensor that turns
@@ -181,8 +181,7 @@ def _hidden_share(points: Double) -> float:
 def sectors_around(points: Double) -> Sectors:
     """Count the points (N, 3) in the sectors around the origin."""
     far = points[np.einsum("nk,nk->n", points, points) > VEHICLE_M**2]
-    around = (np.arctan2(far[:, 1], far[:, 0]) / (2 * np.pi) + 0.5) * SECTORS
-    counts = np.bincount(around.astype(np.intp) % SECTORS, minlength=SECTORS)
+    counts = np.bincount(sector_of_points(far), minlength=SECTORS)
     mean = max(len(far), 1) / SECTORS
     occupied = float((counts > EMPTY * mean).mean())
     return Sectors(occupied=occupied, fullest=float(counts.max() / mean))

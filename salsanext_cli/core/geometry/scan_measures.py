@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Measures of a scan by which scans of another sensor or another way of recording are told apart.
 
-They need no labels. Those of one sensor vary with the location; `least_spread` bounds from below
-what is called usual where scans that were seen hardly differ.
+They need no labels. Measures of one sensor vary with the location. `least_spread` is the least
+deviation that counts as usual, since the compared scans may hardly differ.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
     groups: list[int] = []  # Of each division, the first one that is like it
     medians: list[tuple[float, ...]] = []
     for number, members in enumerate(_divided(np.array([scan.compared for scan in traits]))):
-        median = usual_traits([traits[i] for i in members])
+        median = median_traits([traits[i] for i in members])
         alike = (groups[i] for i, other in enumerate(medians) if _are_alike(other, median))
         groups.append(next(alike, number))
         medians.append(median)
@@ -206,7 +206,7 @@ def scaled_traits(compared: npt.ArrayLike) -> Double:
     return scaled
 
 
-def usual_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
+def median_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
     """Return the medians (T,) of the traits of scans."""
     return tuple(np.median([scan.compared for scan in traits], axis=0).round(DIGITS).tolist())
 
@@ -235,4 +235,4 @@ def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]
     kinds[list(traits)] = groups_of(list(traits.values()))
     count = kinds.max(initial=0) + 1
     groups = [[traits[i] for i in traits if kinds[i] == kind] for kind in range(count)]
-    return kinds.tolist(), [usual_traits(group) for group in groups if group]
+    return kinds.tolist(), [median_traits(group) for group in groups if group]

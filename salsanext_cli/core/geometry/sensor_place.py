@@ -258,7 +258,7 @@ def _verified(view: _View, points: Double) -> SensorPlace | None:
 
 
 def _snapped(up: Double) -> Double:
-    """Return the z axis, up or down, for a direction (3,) near it: roads and sensors lean a bit."""
+    """Return the z axis, up or down, for a direction (3,) near it; roads and sensors are tilted."""
     is_near = abs(up[UPWARDS]) > np.cos(np.radians(MAX_LEAN_DEG))
     return np.array([0.0, 0.0, np.sign(up[UPWARDS])]) if is_near else up
 

@@ -22,8 +22,8 @@ class AcceptedCounts:
     """Points of a scan of a run that rejected labels."""
 
     points: int  # Number of scored points
-    accepted: int  # Number of those with a label
-    wrong: int  # Number of wrong ones among these
+    accepted: int  # Number of scored points with a label
+    wrong: int  # Number of accepted points with a wrong label
 
     @property
     def loss(self) -> float:

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from salsanext_cli.core.checks.warning_codes import WarningCode
+from salsanext_cli.core.classes.label_space import MAX_COARSE_CLASSES
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, ExpectedAccuracy
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import command, setting
 
 DOUBTFUL = 0.1
 """A point is doubtful if its label is wrong with a greater probability."""
-FEW_CLASSES = 10  # Label spaces of at most so many classes, class 0 included, are coarse already
 MOST = 0.5  # Warnings decide if more than this share of the scans has one of them
 
 
@@ -207,7 +207,7 @@ def _decision_by_warnings(evidence: Evidence) -> Decision | None:
 
 def _level(evidence: Evidence, best: Decision) -> Decision:
     """Return the decision of the first level whose limits hold, no better than `best`."""
-    is_coarse = evidence.class_count <= FEW_CLASSES
+    is_coarse = evidence.class_count <= MAX_COARSE_CLASSES
     order = [level.decision for level in LEVELS]
     for level in LEVELS[order.index(best) :]:
         if level.decision is Decision.COARSE and is_coarse:

@@ -31,10 +31,11 @@ LIKELY = 0.01
 That of 24 simulated drives and 12 others is 0.4; of 24 simulated drives and four or five of
 SemanticKITTI 0.001."""
 LIKELY_OF_FEW = 0.001
-"""The same of few units, whose traits are hardly normally distributed; of all traits together.
+"""Largest probability of such a difference between few units, over all traits together.
 
-Of 4 000 choices of 24 simulated drives and another one, 12 were below. The limit is 5.2 times the
-usual deviation; PandaSet had 6.9 or more, 16 % of a circle 35, SemanticKITTI up to 2.4."""
+Traits of few units are hardly normally distributed. Of 4 000 choices of 24 simulated drives and
+another one, 12 were below. The limit is 5.2 times the usual deviation; PandaSet had 6.9 or more,
+16 % of a circle 35, SemanticKITTI up to 2.4."""
 MOST_WITH_CODE = 0.5  # Share of the units with a new code above which it tells scans apart
 EDGE = 1e-4  # Least distance of an uncertainty from 0 and 1, whose logits are infinite
 LEAST_UNCERTAINTY = 0.3  # Least usual deviation of the logit of an uncertainty
@@ -127,7 +128,7 @@ def traits_of_units(traits: Sequence[UnitTraits], units: Sequence[str]) -> tuple
                 uncertainty=round(uncertainty, DIGITS),
                 class_shares=_rounded(shares),
                 measures=_rounded(measures),
-                codes=_usual_codes(members),
+                codes=_codes_of_most(members),
             )
         )
     return tuple(means)
@@ -138,7 +139,7 @@ def _rounded(values: Double) -> tuple[float, ...]:
     return tuple(round(float(value), DIGITS) for value in values)
 
 
-def _usual_codes(units: Sequence[UnitTraits]) -> tuple[str, ...]:
+def _codes_of_most(units: Sequence[UnitTraits]) -> tuple[str, ...]:
     """Return the codes that most of the units have."""
     codes = sorted({code for unit in units for code in unit.codes})
     return tuple(
@@ -151,7 +152,7 @@ def _usual_codes(units: Sequence[UnitTraits]) -> tuple[str, ...]:
 def new_codes(before: Sequence[UnitTraits], now: Sequence[UnitTraits]) -> tuple[str, ...]:
     """Return the codes of warnings that most of the new units and none of the earlier ones have."""
     earlier = {code for unit in before for code in unit.codes}
-    return tuple(code for code in _usual_codes(now) if code not in earlier)
+    return tuple(code for code in _codes_of_most(now) if code not in earlier)
 
 
 def are_comparable(before: int, now: int) -> bool:

@@ -293,7 +293,7 @@ class RiskBoundCheck:
         return f"{guaranteed}; measured: {measured}, {worst}"
 
 
-def guarantee(risk: RiskThreshold) -> str:
+def guarantee_text(risk: RiskThreshold) -> str:
     """Return the guarantee of the threshold of weights in words."""
     bound = _bound(risk.at_most, risk.confidence, risk.unit)
     doubt = f"; not guaranteed, because {CONSECUTIVE}" if risk.consecutive else ""

@@ -25,5 +25,5 @@ UNCERTAINTY = {
         title="disagreement: share of the scans against the label", most=1.0
     ),
 }
-MEANT_BY_UNCERTAINTY = ("entropy", "disagreement", "least_confidence")
+DEFAULT_UNCERTAINTIES = ("entropy", "disagreement", "least_confidence")
 """Kinds that "uncertainty" stands for without the error; the first available one counts."""

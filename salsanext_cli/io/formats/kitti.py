@@ -114,7 +114,7 @@ def read_bin(
 
 def read_table(path: Path, columns: tuple[str, ...] = ()) -> BinTable:
     """Read the values of a `.bin` file in rows of the named or the usual columns."""
-    width = len(columns) or usual_width(path)
+    width = len(columns) or default_width(path)
     values, size = _read_values(path, width)
     with np.errstate(over="ignore", invalid="ignore"):
         rounded = values.astype(np.float32, copy=False)
@@ -158,7 +158,7 @@ def _require_intensity(table: npt.NDArray[np.floating[Any]], path: Path) -> None
         raise FormatError(path, problem, f"{width} float32 per point", hint)
 
 
-def usual_width(path: Path) -> int:
+def default_width(path: Path) -> int:
     """Return the number of columns of a `.bin` file, 5 for `.pcd.bin`."""
     return COLUMNS_WITH_RING if path.name.lower().endswith(".pcd.bin") else COLUMNS
 
@@ -211,7 +211,7 @@ def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file with another number of columns, with names to try."""
     hint = f"name its columns, for example with {setting('columns', names_to_try(count))}"
     suffixes = {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}
-    if count == usual_width(path):
+    if count == default_width(path):
         hint = f"omit {argument('columns')}"
     elif count in suffixes:
         hint = f"rename it to {suffixes[count]}, or {hint}"
@@ -223,7 +223,7 @@ def count_points(path: Path) -> int:
 
     Only a sample of the values is read: their type and the size of the file determine the number.
     """
-    width = usual_width(path)
+    width = default_width(path)
     with reading(path) as file:
         size = _size_of_values(file, path, width)
         is_float64 = size // FLOAT32_BYTES % 2 == 0 and are_halves(_sampled_pairs(file, path, size))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.fitting.sensor_texts import view_text
-from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.measures.risk_control import guarantee_text
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import shortened
 from salsanext_cli.core.wording import command, setting
@@ -40,7 +40,7 @@ def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     if stage and labels:
         yield "Labels", _labels(stage, labels)
         if isinstance(labels, PredictSettings) and labels.guarantee:
-            yield "Guarantee", guarantee(labels.guarantee)
+            yield "Guarantee", guarantee_text(labels.guarantee)
         if isinstance(labels, WeightsSettings) and labels.inherited:
             parts = shortened(labels.inherited, 200)
             yield "Inherited", f"{parts}, not fitted to these weights"

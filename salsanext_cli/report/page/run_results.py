@@ -25,7 +25,7 @@ from salsanext_cli.core.measures.risk_control import RiskBoundCheck
 from salsanext_cli.core.measures.scores import Scores, accepted, scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.texts import counted, percentage
-from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
+from salsanext_cli.core.uncertainty.kinds import DEFAULT_UNCERTAINTIES, UNCERTAINTY
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import present, reading, refusing_damage
 from salsanext_cli.report.page.mean_uncertainty import mean_in_words
@@ -44,7 +44,7 @@ from salsanext_cli.runs.summary.scan_summary import guarantee_of_run
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty, the best indicator of an uncertain scan first."""
-UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
+UNCERTAIN = (*dict.fromkeys(("error", *DEFAULT_UNCERTAINTIES, *UNCERTAINTY)),)
 """Values by which points can be hidden, in the order of the menu."""
 SCALARS = (*UNCERTAIN, "range", "intensity")  # Values with a scale
 

@@ -8,7 +8,7 @@ from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.geometry.scan_traits import ScanTraits, groups_of
 from salsanext_cli.runs.results.paths import ScanFile
 
-APART = "put the scans of each sensor into a separate folder"
+SEPARATE_FOLDERS_HINT = "put the scans of each sensor into a separate folder"
 
 
 def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Finding]:
@@ -22,5 +22,5 @@ def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Findi
             if group:
                 others = f"the others, such as {first.name} ({traits[first]})"
                 problem = f"seems to be of another sensor ({traits[file]}) than {others}"
-                findings[file] = Finding(WarningCode.MIXED_SENSORS, problem, APART)
+                findings[file] = Finding(WarningCode.MIXED_SENSORS, problem, SEPARATE_FOLDERS_HINT)
     return findings

@@ -26,7 +26,7 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.atomic import append_line
 from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import fingerprint, present, reading
-from salsanext_cli.runs.results.layouts import PICKED, SCAN_FOLDER
+from salsanext_cli.runs.results.layouts import PICK_RECORD, SCAN_FOLDER
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, States
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import data_set_of
@@ -117,7 +117,7 @@ class LabelRecords:
 
     @cached_property
     def _pre_labels(self) -> dict[str, object]:
-        tables = (_table(self.owned.root / PICKED, key) for key in PRE_LABELS)
+        tables = (_table(self.owned.root / PICK_RECORD, key) for key in PRE_LABELS)
         return {name: digest for table in tables for name, digest in table.items()}
 
     @cached_property

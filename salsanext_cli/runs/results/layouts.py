@@ -8,7 +8,7 @@ from pathlib import Path
 from salsanext_cli.io.files.reading import present
 
 SCAN_FOLDER = "velodyne"
-PICKED = "pick.json"  # Record of `pick`
+PICK_RECORD = "pick.json"  # Record of `pick`
 TOOL_FOLDER = "tools"  # In a data set of picked scans: a folder for each labelling tool
 LABEL_FOLDER = "labels"
 SEQUENCE = "{sequence}"

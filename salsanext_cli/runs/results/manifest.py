@@ -281,7 +281,7 @@ class Manifest:
         """Return the settings of `predict`, None if the labels are not its own."""
         return self.settings("predict") if self.owner("predictions") == "predict" else None
 
-    def guarantee(self, space: LabelSpace) -> RiskThreshold | None:
+    def risk_threshold(self, space: LabelSpace) -> RiskThreshold | None:
         """Return the guarantee of `tune risk` for the labels, if they are in its classes."""
         prediction = self.prediction()
         recorded = self.label_space("predictions")
@@ -289,7 +289,7 @@ class Manifest:
             return None
         return prediction.guarantee
 
-    def known_sensor(self) -> Sensor | None:
+    def recorded_sensor(self) -> Sensor | None:
         """Return the recorded sensor of the results, if there is one."""
         folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
         settings = self.settings_of(*folders)
@@ -297,7 +297,7 @@ class Manifest:
 
     def sensor(self) -> Sensor:
         """Return the recorded sensor of the results, else the HDL-64."""
-        return self.known_sensor() or sensor("hdl64")
+        return self.recorded_sensor() or sensor("hdl64")
 
     def weights(self, folder: str) -> str | None:
         """Return the SHA-256 of the weights of a folder of results, if it is recorded."""

@@ -176,8 +176,8 @@ class OwnedFolder:
         """Refuse a folder that contains files, but no record of the stage."""
         if present(self.record_path) or not present(self.root):
             return
-        is_folder = self.root.is_dir()
-        if not is_folder or any(path.name[0] != "." for path in self.root.iterdir()):
+        is_file = not self.root.is_dir()
+        if is_file or any(path.name[0] != "." for path in self.root.iterdir()):
             raise OutputError(self.root, "contains other files", "a new or empty folder")
 
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:

@@ -46,7 +46,7 @@ ORIGINS = "origins"  # Position of the sensor of each registered scan
 DISAGREEMENT = "uncertainty/disagreement"  # Share of the scans against the label
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values for the colours of point clouds."""
-COLOURS = (*COLOURINGS, "uncertainty")  # "uncertainty": see `ResultFolder.meant_uncertainty`
+COLOURS = (*COLOURINGS, "uncertainty")  # "uncertainty": see `ResultFolder.default_uncertainty`
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",
@@ -126,10 +126,10 @@ def _scans_at_source(source: Path) -> list[ScanFile]:
         if is_file and not recording_of(root) and not scan_suffix(source.name):
             raise unread_file_error(source)
         scans = sorted(_scans_of(root))
-        if source.is_dir() and all(is_table(scan.path.name) for scan in scans[:1]):
-            scans = _scans_below(source, root, scans)
-        elif source.is_dir():
-            scans = _with_scans_elsewhere(source, root, scans)
+        if source.is_dir():
+            has_clouds = bool(scans) and not is_table(scans[0].path.name)
+            find_others = _with_scans_elsewhere if has_clouds else _scans_below
+            scans = find_others(source, root, scans)
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error

@@ -17,7 +17,7 @@ from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
-from salsanext_cli.core.uncertainty.kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
+from salsanext_cli.core.uncertainty.kinds import DEFAULT_UNCERTAINTIES, UNCERTAINTY
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
@@ -323,14 +323,14 @@ class ResultFolder:
     def _path(self, file: ScanFile, column: str) -> Path:
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
-    def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
+    def default_uncertainty(self, scans: Sequence[ScanFile]) -> str:
         """Return the kind for "uncertainty": the error if all scans have it, else the first one."""
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
-        for kind in MEANT_BY_UNCERTAINTY:
+        for kind in DEFAULT_UNCERTAINTIES:
             if self.with_column(kind, scans):
                 return kind
-        return MEANT_BY_UNCERTAINTY[0]
+        return DEFAULT_UNCERTAINTIES[0]
 
 
 def is_result_folder(folder: Path) -> bool:
@@ -375,7 +375,7 @@ def _missing(
 ) -> MissingResults:
     listed = sorted(scans)
 
-    def is_asked_for(scan: ScanFile) -> bool:
+    def was_requested(scan: ScanFile) -> bool:
         recorded = [
             stage_sources[scan.sequence]
             for stage_sources in sources
@@ -383,7 +383,7 @@ def _missing(
         ]
         return not recorded or any(scan.stem in source.suffixes for source in recorded)
 
-    missing = tuple(scan for scan in listed if is_asked_for(scan))
+    missing = tuple(scan for scan in listed if was_requested(scan))
     return MissingResults(scans=missing, not_asked_for=len(listed) - len(missing))
 
 

@@ -26,7 +26,7 @@ from salsanext_cli.io.formats.unread import (
 from salsanext_cli.io.labelling_tools.registry import TOOLS
 from salsanext_cli.runs.results.layouts import (
     LABEL_FOLDER,
-    PICKED,
+    PICK_RECORD,
     SCAN_FOLDER,
     TOOL_FOLDER,
     Layout,
@@ -186,7 +186,7 @@ def _subfolders(folder: Path, *, is_root: bool = False) -> list[Path]:
     """
     sequences = folder / "sequences"
     others = [folder / name for name in folders_in(folder) if name != LABEL_FOLDER]
-    if folder.name == TOOL_FOLDER and present(folder.parent / PICKED):
+    if folder.name == TOOL_FOLDER and present(folder.parent / PICK_RECORD):
         # Copies of the picked scans
         others = [other for other in others if other.name not in TOOLS]
     if not is_folder(folder / FILE_LISTS):

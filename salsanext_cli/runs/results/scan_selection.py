@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.wording import argument
 
+PICKED_SCANS = 10  # Number of scans that `pick` chooses by default
+
 
 @dataclass(frozen=True, slots=True)
 class ScanSelection:

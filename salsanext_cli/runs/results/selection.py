@@ -66,8 +66,9 @@ def scans_of(source: Path | Sequence[Path]) -> list[ScanFile]:
         return scans
     scans = find_scans(source)
     if is_folder(source) and recording_of(scans[0].path) is None:
-        folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
-        _log_skipped(source, sorted(folders), {scan.path.name for scan in scans})
+        path_of_sequence = {scan.sequence: scan.path for scan in scans}
+        folders = sorted({path.parent for path in path_of_sequence.values()})
+        _log_skipped(source, folders, {scan.path.name for scan in scans})
     return scans
 
 

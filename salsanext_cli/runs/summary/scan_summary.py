@@ -46,7 +46,6 @@ from salsanext_cli.runs.summary.threshold_scans import ThresholdComparison, why_
 
 CLASSES_SHOWN = 5  # Classes that a summary names
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
-"""Code of the warning that the guarantee of a threshold does not cover the scans of a run."""
 NOT_COMPARED = "the scans cannot be compared with those that the threshold was chosen on"
 TUNE_AGAIN = "choose the threshold with `salsanext tune risk` on labelled scans like these"
 log = logging.getLogger(__name__)
@@ -188,6 +187,11 @@ class RunSummary:
             threshold=threshold,
             trained=network.card.sensor,
         )
+
+    @property
+    def has_point_labels(self) -> bool:
+        """Whether the run labelled points, and not pixels, whose classes are not counted."""
+        return self.space is not None
 
     @property
     def labelled(self) -> bool:
@@ -359,7 +363,7 @@ def guarantee_of_run(
     """
     findings = OwnedFolder(out, "predict").findings()
     codes = {finding.code for name in losses for finding in findings.get(name, ())}
-    threshold = Manifest(out).guarantee(space)
+    threshold = Manifest(out).risk_threshold(space)
     check = RiskBoundCheck.from_scans(
         threshold, losses, are_others=WarningCode.OTHER_SCANS in codes
     )

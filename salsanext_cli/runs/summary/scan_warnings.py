@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.core.checks.finding import Finding
-from salsanext_cli.core.checks.label_checks import LOOK
+from salsanext_cli.core.checks.label_checks import LABELS_HINT
 from salsanext_cli.core.texts import first_few
 
 log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ def hint_in(out: Path | None, hint: str) -> str:
 
     The command is no part of recorded hints, since folders of results may be moved.
     """
-    if out is None or not hint.endswith(LOOK):
+    if out is None or not hint.endswith(LABELS_HINT):
         return hint
     return f"{hint}: `{shlex.join(['salsanext', 'report', str(out)])}`"
 

@@ -19,9 +19,10 @@ def boundary(builder: Builder) -> Maker:
         return hedge(builder)
     kind = str(builder.rng.choice(fences.FENCES))
     if kind in fences.SOLID:
-        height = builder.between(*HIGH_M if builder.chance(0.4) else LOW_M)
+        heights = HIGH_M if builder.chance(0.4) else LOW_M
     else:
-        height = builder.between(*(1.1, 2.2) if builder.chance(0.25) else (0.5, 1.1))
+        heights = (1.1, 2.2) if builder.chance(0.25) else (0.5, 1.1)
+    height = builder.between(*heights)
     shade = builder.between(0.7, 1.5)
     return partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
 
@@ -29,10 +30,12 @@ def boundary(builder: Builder) -> Maker:
 def hedge(builder: Builder) -> Maker:
     """Return a maker of pieces of a hedge, low or high, clipped or ragged."""
     low = builder.chance(0.6)
-    height = builder.between(*(0.4, 1.2) if low else (0.7, 3.2))
+    heights = (0.4, 1.2) if low else (0.7, 3.2)
+    height = builder.between(*heights)
     depth = builder.between(0.4, 1.0 if low else 1.5)
     clipped = builder.chance(0.75 if low else 0.5)
-    ragged = builder.between(*(0.003, vegetation.CLIPPED_M) if clipped else (0.03, 0.2))
+    roughness = (0.003, vegetation.CLIPPED_M) if clipped else (0.03, 0.2)
+    ragged = builder.between(*roughness)
     return partial(vegetation.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
 
 

@@ -4,6 +4,9 @@
 What a person carries or pushes has the label of the person; a dog is another object.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from salsanext_cli.synthesis import presets
@@ -13,17 +16,17 @@ from salsanext_cli.synthesis.things import figures, people
 
 STEEL = Skin(PERSON, Material.METAL, 0.8)
 TYRE = Skin(PERSON, Material.RUBBER, 2.0)
-SHARES = {
-    "alone": 7.0, "umbrella": 0.8, "pram": 0.9, "suitcase": 0.5, "frame": 0.3, "wheelchair": 0.3,
-    "dog": 0.8, "child": 0.5,
-}  # fmt: skip
-"""Relative frequencies of people with something beside them."""
+CANOPY = ((1.0, 0.0), (0.7, 0.14), (0.05, 0.22))
+"""Rings of an umbrella: share of its radius, and height above its edge in metres."""
+CANOPY_Y_M = 0.1  # Middle of an umbrella, left of the person
+UMBRELLA_HAND_M = (0.22, 0.17)  # x and y of the hand that carries it
+UMBRELLA_HAND_BELOW_HEAD_M = 0.75
 
 
 def walker(rng: Rng) -> Mesh:
     """Return a person who walks along x, alone or with something."""
-    kind = presets.weighted_choice(rng, SHARES)
-    return figures.walking(rng) if kind == "alone" else COMPANIES[kind](rng)
+    frequencies = {name: company.frequency for name, company in COMPANIES.items()}
+    return COMPANIES[presets.weighted_choice(rng, frequencies)].make(rng)
 
 
 def bystander(rng: Rng) -> Mesh:
@@ -43,10 +46,12 @@ def with_umbrella(rng: Rng) -> Mesh:
     x = rng.uniform(0.0, 0.2)
     angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     rings = []
-    for share, height in ((1.0, 0.0), (0.7, 0.14), (0.05, 0.22)):
+    for share, height in CANOPY:
         around = share * radius * np.stack([np.cos(angle), np.sin(angle)], -1)
-        rings.append(np.column_stack([around + [x, 0.1], np.full(8, low + height)]))
-    stick = tube([[0.22, 0.17, top - 0.75], [x, 0.1, low + 0.22]], 0.012, STEEL, 4)
+        rings.append(np.column_stack([around + [x, CANOPY_Y_M], np.full(8, low + height)]))
+    hand = [*UMBRELLA_HAND_M, top - UMBRELLA_HAND_BELOW_HEAD_M]
+    tip = [x, CANOPY_Y_M, low + CANOPY[-1][1]]
+    stick = tube([hand, tip], 0.012, STEEL, 4)
     return merge([body, loft(np.array(rings), cloth), stick])
 
 
@@ -144,8 +149,22 @@ def with_child(rng: Rng) -> Mesh:
     return merge([grown, child.moved((rng.normal(0, 0.1), rng.choice([-1, 1]) * 0.42, 0))])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Company:
+    """What accompanies a person on foot."""
+
+    frequency: float  # Relative to the others
+    make: Callable[[Rng], Mesh]  # Returns the person with it
+
+
 COMPANIES = {
-    "umbrella": with_umbrella, "pram": with_pram, "suitcase": with_suitcase, "frame": with_frame,
-    "wheelchair": in_wheelchair, "dog": with_dog, "child": with_child,
-}  # fmt: skip
-"""Makers of people with something."""
+    "alone": Company(frequency=7.0, make=figures.walking),
+    "umbrella": Company(frequency=0.8, make=with_umbrella),
+    "pram": Company(frequency=0.9, make=with_pram),
+    "suitcase": Company(frequency=0.5, make=with_suitcase),
+    "frame": Company(frequency=0.3, make=with_frame),
+    "wheelchair": Company(frequency=0.3, make=in_wheelchair),
+    "dog": Company(frequency=0.8, make=with_dog),
+    "child": Company(frequency=0.5, make=with_child),
+}
+"""Companies of people on foot, by name."""

@@ -163,7 +163,8 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + 0.4 * clipped))
     centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
     outer = rng.random(count)
-    largest = rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
+    sizes = (0.025, 0.05) if clipped else (0.04, 0.12)
+    largest = rng.uniform(*sizes)
     centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
     centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
     centres += rng.normal(0, ragged, centres.shape)

@@ -8,7 +8,7 @@ import numpy as np
 
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.measures.accepted_labels import AcceptedCounts, AcceptedLabels
-from salsanext_cli.core.measures.risk_control import guarantee
+from salsanext_cli.core.measures.risk_control import guarantee_text
 from salsanext_cli.core.measures.scores import Ratios
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.plain_data import plain
@@ -129,7 +129,7 @@ class RiskFit:
     @property
     def guarantee(self) -> str:
         """Guarantee of the threshold in words."""
-        return guarantee(self.threshold)
+        return guarantee_text(self.threshold)
 
     @property
     def sentences(self) -> list[str]:

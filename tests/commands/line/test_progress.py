@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Progress of a command in a log file."""
 
-from salsanext_cli.commands.line.progress import Lines
+from salsanext_cli.commands.line.progress import ProgressLines
 
 
 def test_a_log_file_gets_a_line_from_time_to_time(capsys):
     """The rate of a resumed training counts the steps of this run only."""
     now = 0.0
-    lines = Lines("predict", "scans", clock=lambda: now)
+    lines = ProgressLines("predict", "scans", clock=lambda: now)
     for done in range(901, 1001):
         now += 3.0
         lines(done, 1000)
@@ -22,7 +22,7 @@ def test_a_log_file_gets_a_line_from_time_to_time(capsys):
 def test_the_time_left_does_not_count_the_start(capsys):
     """The first scan waits for the network, which takes 100 s; each further scan takes 3 s."""
     now = 0.0
-    lines = Lines("predict", "scans", clock=lambda: now)
+    lines = ProgressLines("predict", "scans", clock=lambda: now)
     lines(0, 100)
     now = 100.0
     for done in range(1, 12):
@@ -37,7 +37,7 @@ def test_the_time_left_does_not_count_the_start(capsys):
 def test_the_rate_is_that_of_scans_that_a_worker_reports_together(capsys):
     """Chunks of four scans arrive every 20 s, so that a scan takes 5 s."""
     now = 0.0
-    lines = Lines("predict", "scans", clock=lambda: now)
+    lines = ProgressLines("predict", "scans", clock=lambda: now)
     for chunk in range(4):
         now += 20.0
         for done in range(4 * chunk + 1, 4 * chunk + 5):

@@ -241,7 +241,7 @@ def test_a_long_run_without_bfloat16_names_int8(
     recorded = PredictSettings(precision="float32", engine=given["engine"])
     record = StageRecord(stage="predict", settings=settings_json(recorded))
     Manifest(tmp_path).write(record)
-    monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
+    monkeypatch.setattr(device, "processor_flags", lambda: frozenset(flags.split()))
     for variable in device.ISA_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     settings = NetworkSettings(weights, precision=given["precision"])

@@ -100,9 +100,9 @@ def test_labels_equal_the_function(drive):
         for folder, of_folder in ((drive.out / "sequences/08", labels), (of_fused, fused)):
             against = np.load(folder / f"uncertainty/disagreement/{stem}.npy")
             np.testing.assert_array_equal(against, tally.disagreement(of_folder))
-            np.testing.assert_array_equal(np.load(folder / f"views/{stem}.npy"), tally.views)
+            np.testing.assert_array_equal(np.load(folder / f"views/{stem}.npy"), tally.scan_counts)
         changed += int((fused != labels).sum())
-        assert (tally.views == 3).mean() > 0.7
+        assert (tally.scan_counts == 3).mean() > 0.7
     assert changed
 
 

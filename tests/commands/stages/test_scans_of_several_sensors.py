@@ -127,10 +127,10 @@ def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
 def test_scans_that_come_later_are_of_one_of_the_sensors(mixed, network, tmp_path):
     out = tmp_path / "out"
     predict_scans(mixed, out, settings=network)
-    before = Manifest(out).known_sensor()
+    before = Manifest(out).recorded_sensor()
     write_bin(mixed / "9.bin", leaning(9))
     assert predict_scans(mixed, out, settings=network).done == 1
-    assert Manifest(out).known_sensor() == before
+    assert Manifest(out).recorded_sensor() == before
     (later,) = (file for file in find_scans(mixed) if file.stem == "9")
     assert ResultFolder(out).read(later, before).sensor == before.others[0]
 
@@ -202,7 +202,7 @@ def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, ca
     predict_range_images(tmp_path / "out", tmp_path / "auto", settings=network)
     assert caplog.text.count("such as mixed/") == 2
     assert "such as none" not in caplog.text
-    for member in Manifest(tmp_path / "out").known_sensor().members:
+    for member in Manifest(tmp_path / "out").recorded_sensor().members:
         single = replace(network, sensor=replace(member, others=(), traits=()))
         with pytest.raises(UsageError, match="sensors"):
             predict_range_images(tmp_path / "out", tmp_path / "single", settings=single)
@@ -228,7 +228,7 @@ def test_inspect_judges_scans_by_the_sensor_that_predict_fits(mixed, tmp_path, n
     out = tmp_path / "out"
     predicted = only_json(called("predict", mixed, out, "--engine", "torch", "--json"))
     inspected = only_json(called("inspect", mixed, "--json"))
-    recorded = Manifest(out).known_sensor()
+    recorded = Manifest(out).recorded_sensor()
     assert len(recorded.members) == 2
     for key in ("fov_up", "fov_down", "height", "width", "up"):
         assert inspected["sensor"].get(key) == predicted["sensor"].get(key)

@@ -7,7 +7,7 @@ import pytest
 from scans import SMALL, make_scan, refused
 
 from salsanext_cli import Scan, project
-from salsanext_cli.core.checks.scan_checks import ALONE, check_scan
+from salsanext_cli.core.checks.scan_checks import OTHER_SENSOR_HINT, check_scan
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.geometry.intensity import NO_INTENSITY, intensity_quantiles
@@ -105,7 +105,7 @@ def hints(scan, of, trained=TRAINED):
 def test_an_odd_scan_of_a_run_needs_a_separate_run(of, degrees):
     """Nothing that `inspect --fit` writes would, since the others are as fitted."""
     odd = leaning(degrees)
-    assert hints(odd, of)["tilted"] == ALONE
+    assert hints(odd, of)["tilted"] == OTHER_SENSOR_HINT
     assert codes(odd, fit_view([odd], TRAINED)) == []
 
 

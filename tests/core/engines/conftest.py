@@ -10,7 +10,7 @@ from salsanext_cli.core.notices import warn_once
 @pytest.fixture
 def fresh():
     """Forget the properties of this machine, before and after."""
-    caches = (device.flags, openvino_runtime.openvino_failure, warn_once)
+    caches = (device.processor_flags, openvino_runtime.openvino_failure, warn_once)
     for cache in caches:
         cache.cache_clear()
     yield

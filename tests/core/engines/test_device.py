@@ -73,7 +73,7 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     ],
 )
 def test_tiles_of_bytes_where_the_cpu_multiplies_them(monkeypatch, flags, limit, expected):
-    monkeypatch.setattr(device, "flags", lambda: frozenset(flags.split()))
+    monkeypatch.setattr(device, "processor_flags", lambda: frozenset(flags.split()))
     for variable in device.ISA_VARIABLES:
         monkeypatch.setenv(variable, limit)
     assert device.multiplies_tiles_of_bytes() == expected
@@ -97,6 +97,6 @@ def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
 def test_labels_in_int8_depend_on_the_cpu_and_others_do_not(monkeypatch, flags, expected):
     for variable in device.ISA_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
-    monkeypatch.setattr(device, "flags", lambda: flags)
+    monkeypatch.setattr(device, "processor_flags", lambda: flags)
     assert device.number_type_of_labels("int8") == expected
     assert device.number_type_of_labels("float32") == "float32"

@@ -136,7 +136,7 @@ def test_votes_equal_a_slow_loop(seed, reach, movable_reach):
     movable = label_space().movable
     expected = slowly(scans, softmax, poses, reaches, movable)
     for tally, (shares, views) in zip(fuse(scans, softmax, poses, reaches), expected, strict=True):
-        np.testing.assert_array_equal(tally.views, views)
+        np.testing.assert_array_equal(tally.scan_counts, views)
         # Each probability of a vote is rounded by half a step, and their sum by one per class.
         rounding = (1 + CLASSES) / 2 / SCALE
         np.testing.assert_allclose(tally.probabilities, shares, atol=rounding)
@@ -153,7 +153,7 @@ def test_a_label_changes_only_where_another_scan_sees_the_place_and_has_a_label(
     scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
     softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
     tally = fuse([scan], [softmax], np.eye(4)[None])[0]
-    assert tally.views.tolist() == [0, 1]
+    assert tally.scan_counts.tolist() == [0, 1]
     assert np.isnan(tally.disagreement(np.uint8([0, ROAD]))).tolist() == [True, False]
     assert tally.fused(np.uint8([0, ROAD])).tolist() == [0, ROAD]
 
@@ -192,11 +192,11 @@ def test_a_stray_point_has_no_vote_and_does_no_harm():
     scans[1] = Scan(points, np.zeros(len(points), np.float32))
     softmax[1] = np.concatenate([softmax[1], np.eye(CLASSES, dtype=np.float32)[[ROAD] * 4]])
     found = fuse(scans, softmax, poses)
-    assert not found[1].views[-4:].any()
+    assert not found[1].scan_counts[-4:].any()
     for one, other in zip(found, expected, strict=True):
-        count = len(other.views)
+        count = len(other.scan_counts)
         np.testing.assert_array_equal(one.probabilities[:count], other.probabilities)
-        np.testing.assert_array_equal(one.views[:count], other.views)
+        np.testing.assert_array_equal(one.scan_counts[:count], other.scan_counts)
 
 
 def test_parts_may_be_far_apart_but_not_the_scans_of_a_part():
@@ -205,14 +205,14 @@ def test_parts_may_be_far_apart_but_not_the_scans_of_a_part():
     poses[3:, 0, 3] += 1e8
     for one, other in zip(fuse(scans, softmax, poses), alone, strict=True):
         np.testing.assert_array_equal(one.probabilities, other.probabilities)
-        np.testing.assert_array_equal(one.views, other.views)
+        np.testing.assert_array_equal(one.scan_counts, other.scan_counts)
     window = FusionWindow(
         Drive(poses, np.zeros(5, np.int64)),
         lambda index: (scans[index].points, softmax[index]),
         FusionReach(),
         np.zeros(CLASSES, bool),
     )
-    assert window.tally(0).views.max() <= 3
+    assert window.tally(0).scan_counts.max() <= 3
     with pytest.raises(UsageError, match=r"scan 4.* 100000.0 km .* 314.1 km"):
         window.tally(4)
 

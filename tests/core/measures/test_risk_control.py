@@ -14,7 +14,7 @@ from salsanext_cli.core.measures.risk_control import (
     allowed_scans,
     binomial,
     enough_drives,
-    guarantee,
+    guarantee_text,
     held_thresholds,
     means_of_units,
     needed_scans,
@@ -240,23 +240,25 @@ def test_no_points_are_no_check_of_a_guarantee():
 
 
 def test_a_guarantee_states_its_scope():
-    assert guarantee(RISK) == (
+    assert guarantee_text(RISK) == (
         "error up to 0.25 accepted: on average over new scans and over choices of the labelled "
         "ones, at most 5 % of the points of known classes are accepted and wrong, for scans drawn "
         "in the same way from the drives that the threshold was chosen on (20 scans of 00, 08), "
         "not others"
     )
-    named = guarantee(replace(RISK, data_set="semantickitti"))
+    named = guarantee_text(replace(RISK, data_set="semantickitti"))
     assert "(20 scans of semantickitti: 00, 08)" in named
-    assert "with 90 % confidence, at most 10 % of scans" in guarantee(replace(RISK, confidence=0.9))
-    of_drives = guarantee(replace(RISK, unit="drive"))
+    assert "with 90 % confidence, at most 10 % of scans" in guarantee_text(
+        replace(RISK, confidence=0.9)
+    )
+    of_drives = guarantee_text(replace(RISK, unit="drive"))
     assert "for drives like those that the threshold was chosen on (20 scans" in of_drives
 
 
 def test_a_threshold_of_consecutive_scans_is_not_called_guaranteed():
     consecutive = replace(RISK, consecutive=True)
-    assert "not guaranteed" in guarantee(consecutive)
-    assert "not guaranteed" not in guarantee(RISK)
+    assert "not guaranteed" in guarantee_text(consecutive)
+    assert "not guaranteed" not in guarantee_text(RISK)
     check = RiskBoundCheck.from_scans(consecutive, accepted(SCANS))
     assert check.sentence.startswith("not guaranteed")
 

@@ -28,7 +28,9 @@ def data(tmp_path, request):
     for scan in find_scans(root)[:2]:
         OwnedFolder(root).write(scan.label_path, PRE_LABEL)
     digests = dict.fromkeys(("00/000000", "00/000001"), hashlib.sha256(PRE_LABEL).hexdigest())
-    (root / label_records.PICKED).write_text(json.dumps({"stage": "pick", request.param: digests}))
+    (root / label_records.PICK_RECORD).write_text(
+        json.dumps({"stage": "pick", request.param: digests})
+    )
     return root
 
 
@@ -142,5 +144,5 @@ def test_records_lie_above_scans_and_labels(tmp_path):
 
 def test_a_record_of_another_kind_has_no_pre_labels(data):
     for content in ('{"guesses": [1]}', '{"guesses": {"00/000000": 5}}'):
-        (data / label_records.PICKED).write_text(content)
+        (data / label_records.PICK_RECORD).write_text(content)
         assert pre_labelled(data) == []

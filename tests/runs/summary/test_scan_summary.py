@@ -17,7 +17,7 @@ from scans import SMALL
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.core.checks.finding import Finding
-from salsanext_cli.core.checks.label_checks import LOOK
+from salsanext_cli.core.checks.label_checks import LABELS_HINT
 from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
 from salsanext_cli.core.geometry.scan_traits import groups_of
 from salsanext_cli.core.measures.counts import ScanCounts
@@ -62,8 +62,11 @@ def test_labels_of_low_probability_are_doubted():
 
 
 def test_hints_about_labels_name_the_folder_of_the_run(caplog):
-    finding = Finding("one-class", "80 % of the points are road", LOOK)
-    for out, hint in ((None, LOOK), (Path("my out"), f"{LOOK}: `salsanext report 'my out'`")):
+    finding = Finding("one-class", "80 % of the points are road", LABELS_HINT)
+    for out, hint in (
+        (None, LABELS_HINT),
+        (Path("my out"), f"{LABELS_HINT}: `salsanext report 'my out'`"),
+    ):
         summary = RunSummary(sensor=SMALL, space=SPACE, out=out)
         summary.add_finding(FILE.name, finding)
         assert [warning.hint for warning in summary.warnings()] == [hint]
