@@ -11,7 +11,7 @@ from typing import Any
 import typer
 
 from salsanext_cli.commands.line.app import COMMANDS, app
-from salsanext_cli.commands.line.help import by_panel, default_text, synopsis, usage
+from salsanext_cli.commands.line.output.help import by_panel, default_text, synopsis, usage
 
 PAGE = Path(__file__).with_name("cli.md")
 PANELS = ("Options", "Selection", "Network", "Running", "Output")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
-from salsanext_cli.commands.line.interruption import handle_signals
+from salsanext_cli.commands.line.output.interruption import handle_signals
 
 ADVICE = "free some memory, allow more, or use fewer --jobs"
 

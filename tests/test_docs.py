@@ -30,8 +30,8 @@ from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.commands.line.app import COMMANDS
-from salsanext_cli.commands.line.options_file import COMMANDS_WITH_FILE
-from salsanext_cli.commands.line.shard_option import shard_of_kubernetes
+from salsanext_cli.commands.line.options.options_file import COMMANDS_WITH_FILE
+from salsanext_cli.commands.line.values.shard_option import shard_of_kubernetes
 from salsanext_cli.commands.stages import predict as stage
 from salsanext_cli.commands.stages import synth
 from salsanext_cli.commands.stages.export_onnx import export_onnx

@@ -22,7 +22,11 @@ from torch import nn
 from torch.optim import SGD, AdamW
 
 from salsanext_cli.commands.line.app import app
-from salsanext_cli.commands.line.typer_interface import USAGE_ERROR, TyperCommand, TyperGroup
+from salsanext_cli.commands.line.options.typer_interface import (
+    USAGE_ERROR,
+    TyperCommand,
+    TyperGroup,
+)
 from salsanext_cli.core.engines.conversion import converted
 from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.io import kernel_cache
@@ -36,7 +40,7 @@ USERS = {
     "io/kernel_cache.py": r"numba\.core|\._cache\b",
     "core/engines/conversion.py": r"torch\.jit|openvino\.frontend",
     "training/fused_step.py": r"found_inf",
-    "commands/line/typer_interface.py": r"typer\.core|BadParameter\.__base__|get_parameter_source",
+    "commands/line/options/typer_interface.py": r"typer\.core|BadParameter\.__base__|get_parameter_source",
     "training/distributed.py": r"dist\.rendezvous",
     "runs/loop/cluster/ray_cluster.py": r"ray\.cloudpickle",
 }

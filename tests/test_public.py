@@ -17,7 +17,7 @@ from command_line import called, logger_as_before, python
 from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 
 import salsanext_cli as sn
-from salsanext_cli.commands.line.console import Output, log_to_stderr
+from salsanext_cli.commands.line.output.console import Output, log_to_stderr
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import FormatError, OutputError, SalsanextError
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from salsanext_cli.commands.line.recipe_changes import read_overrides
+from salsanext_cli.commands.line.values.recipe_changes import read_overrides
 from salsanext_cli.training.data.dataset import SamplingPlan
 from salsanext_cli.training.recipe import recipe
 

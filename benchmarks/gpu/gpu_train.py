@@ -31,7 +31,7 @@ from benchmarks.weights.default_weights import (
 )
 from benchmarks.weights.pack import unpack
 from benchmarks.weights.scene_pool import KINDS, VALIDATION, ScenePool
-from salsanext_cli.commands.line.recipe_changes import read_overrides
+from salsanext_cli.commands.line.values.recipe_changes import read_overrides
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.segmentation import SegmentationNetwork

@@ -32,7 +32,7 @@ import torch
 
 from benchmarks.commands import salsanext
 from benchmarks.weights.scene_pool import KINDS, ScenePool
-from salsanext_cli.commands.line.recipe_changes import read_overrides
+from salsanext_cli.commands.line.values.recipe_changes import read_overrides
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.plain_data import Json

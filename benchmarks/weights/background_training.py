@@ -24,7 +24,7 @@ import torch
 from benchmarks.gpu.gpu_train import DESCRIPTION, real_sources, training_data
 from benchmarks.weights.finish_weights import remove_class_weights
 from benchmarks.weights.scene_pool import KINDS, ScenePool
-from salsanext_cli.commands.line.recipe_changes import read_overrides
+from salsanext_cli.commands.line.values.recipe_changes import read_overrides
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.plain_data import Json
 from salsanext_cli.io.files.json_files import read_json, write_json

@@ -9,7 +9,7 @@ import pytest
 from evaluated import SPACE, calibration_result, ranking_result
 from scans import refused
 
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.score_limits import (
     SCORE_KINDS,
     ScoreLimit,

@@ -12,8 +12,8 @@ from package_trees import MODULES, PACKAGE, tree_of
 from scans import refused, write_sequence
 from works import name_argument, scans_of
 
-from salsanext_cli.commands.line.option_groups import OPTIONS
-from salsanext_cli.commands.line.option_names import OPTION_OF_EXTRA, RECIPE, CommandLine
+from salsanext_cli.commands.line.options.option_groups import OPTIONS
+from salsanext_cli.commands.line.options.option_names import OPTION_OF_EXTRA, RECIPE, CommandLine
 from salsanext_cli.commands.stages.inspect import inspect
 from salsanext_cli.core import wording
 from salsanext_cli.core.errors import UsageError

@@ -8,7 +8,7 @@ from printed_tables import text_of
 from scans import SMALL
 
 from salsanext_cli import label_space
-from salsanext_cli.commands.line.tune_tables import error_table
+from salsanext_cli.commands.line.output.tune_tables import error_table
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.measures.survey import Survey

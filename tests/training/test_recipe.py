@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scans import refused
 
-from salsanext_cli.commands.line.recipe_changes import read_overrides
+from salsanext_cli.commands.line.values.recipe_changes import read_overrides
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.optional_packages import extra_command
 from salsanext_cli.training.recipe import Recipe, presets, recipe

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from salsanext_cli.commands.line.recipe_changes import read_overrides
+from salsanext_cli.commands.line.values.recipe_changes import read_overrides
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.io.sensors import sensor
 from salsanext_cli.training.memory import Memory

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.commands.line import (
+from salsanext_cli.commands.line.commands import (
     compare,
     knn_refine,
     look,
@@ -21,11 +21,11 @@ from salsanext_cli.commands.line import (
     results,
     uncertainty,
 )
-from salsanext_cli.commands.line.console import guarded
-from salsanext_cli.commands.line.expansion import expanded
-from salsanext_cli.commands.line.help import Command, Group
-from salsanext_cli.commands.line.train import train
-from salsanext_cli.commands.line.tune import tune
+from salsanext_cli.commands.line.commands.train import train
+from salsanext_cli.commands.line.commands.tune import tune
+from salsanext_cli.commands.line.options.expansion import expanded
+from salsanext_cli.commands.line.output.console import guarded
+from salsanext_cli.commands.line.output.help import Command, Group
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.version import __version__
 
@@ -98,7 +98,7 @@ def salsanext(
 ) -> None:
     """Predict a class and an uncertainty for every point of a LiDAR scan."""
     if version:
-        from salsanext_cli.commands.line.version_report import version_lines
+        from salsanext_cli.commands.line.output.version_report import version_lines
 
         typer.echo("\n".join(version_lines()) if verbose else f"salsanext {__version__}")
         raise typer.Exit

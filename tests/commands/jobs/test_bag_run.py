@@ -26,7 +26,7 @@ from labelled_bags import (
 )
 
 from salsanext_cli import read_scan, write_labels
-from salsanext_cli.commands.line.progress import writing
+from salsanext_cli.commands.line.output.progress import writing
 from salsanext_cli.commands.stages.filter import filter_scans
 from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints

@@ -16,8 +16,9 @@ from scans import files_below, write_sequence
 
 from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
-from salsanext_cli.commands.line import console, help, removed
 from salsanext_cli.commands.line.app import COMMANDS
+from salsanext_cli.commands.line.options import removed
+from salsanext_cli.commands.line.output import console, help
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.texts import with_hint
 

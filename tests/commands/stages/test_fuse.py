@@ -14,7 +14,7 @@ from scans import files_below, refused, write_bin
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
 from salsanext_cli.commands.line.app import app
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.stages.evaluate import evaluate_scans
 from salsanext_cli.commands.stages.fuse import fuse_results
 from salsanext_cli.commands.stages.predict import predict_scans
@@ -406,7 +406,7 @@ def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
             if len(looks) == 2:
                 other.close()
 
-        monkeypatch.setattr("salsanext_cli.commands.line.predict.time.sleep", wait)
+        monkeypatch.setattr("salsanext_cli.commands.line.commands.predict.time.sleep", wait)
         other.enter_context(OwnedFolder(world.out, "predict").open(shared=True))
         words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse"]
         result = invoked(app, *words, "--engine", "torch")

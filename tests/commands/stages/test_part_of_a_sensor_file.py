@@ -10,7 +10,7 @@ from command_line import called, only_json
 from scans import SMALL, labels_below, refused, write_bin
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.fitting.field_of_view import fit_view

@@ -14,7 +14,7 @@ from command_line import called, only_json
 from scans import HOUSING
 
 from salsanext_cli import read_labels
-from salsanext_cli.commands.line.picked_labels import doubtful_share
+from salsanext_cli.commands.picked_labels import doubtful_share
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.weights.card_file import read_card

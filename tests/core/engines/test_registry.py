@@ -16,8 +16,8 @@ from shallow import shallow, weights  # noqa: F401
 
 import salsanext_cli
 from salsanext_cli import load_network, project
-from salsanext_cli.commands.line.option_groups import OPTIONS
-from salsanext_cli.commands.line.version_report import version_lines
+from salsanext_cli.commands.line.options.option_groups import OPTIONS
+from salsanext_cli.commands.line.output.version_report import version_lines
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.engines import device, machine, registry
 from salsanext_cli.core.engines.batches import BatchSize

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.core.measures.decision import CODES, LEVELS, Decision, Evidence, verdict
 from salsanext_cli.core.measures.expected_accuracy import OF_RUN, WITHHELD_FOR, ExpectedAccuracy
 from salsanext_cli.core.wording import setting, spelled

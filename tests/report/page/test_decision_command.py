@@ -13,7 +13,7 @@ from command_line import called
 from narrow import narrow, weights  # noqa: F401
 from scans import write_sequence
 
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.stages.report import report
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.measures.decision import Decision, Verdict

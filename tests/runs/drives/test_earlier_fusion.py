@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.drives.earlier_fusion import earlier_fusion, other_drive
 from salsanext_cli.runs.results.output_run import OutputRun

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numbered_scans import scans_of
 from scans import refused
 
-from salsanext_cli.commands.line.jobs_option import typed_jobs
-from salsanext_cli.commands.line.option_names import CommandLine
-from salsanext_cli.commands.line.shard_option import (
+from salsanext_cli.commands.line.options.option_names import CommandLine
+from salsanext_cli.commands.line.values.jobs_option import typed_jobs
+from salsanext_cli.commands.line.values.shard_option import (
     shard_of_kubernetes,
     shard_of_slurm,
     shard_of_text,

@@ -15,7 +15,7 @@ from scans import SMALL, write_sequence
 from world import World
 
 from salsanext_cli import label_space
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.results.making_commands import (
     FUSE,

@@ -4,7 +4,7 @@
 import pytest
 
 from salsanext_cli import label_space
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.core.wording import Spelling, spelled
 from salsanext_cli.runs.results.setting_differences import differences
 

@@ -8,7 +8,7 @@ from scans import SMALL, write_sequence
 from torch.utils.data import get_worker_info
 
 from salsanext_cli import label_space, project
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.geometry.network_input import normalise
 from salsanext_cli.core.network.card import scan_digest

@@ -13,7 +13,7 @@ import pytest
 from command_line import called, subject
 from scans import refused
 
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.measures.risk_control import needed_scans, useful_scans
 from salsanext_cli.core.network.card import RiskThreshold, scan_digest

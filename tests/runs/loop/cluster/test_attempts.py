@@ -9,7 +9,7 @@ import pytest
 from scans import files_below, refused, write_sequence
 from works import Write, run, scans_of
 
-from salsanext_cli.commands.line.option_names import CommandLine
+from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import MissingDependency, UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE

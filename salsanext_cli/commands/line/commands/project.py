@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""`salsanext project`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options.expansion import Without
+from salsanext_cli.commands.line.output import console, summary
+from salsanext_cli.commands.line.output.next_command import next_command
+from salsanext_cli.commands.line.output.progress import over_scans
+from salsanext_cli.runs.loop.run_options import RunOptions
+from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.scan_selection import ScanSelection
+
+
+def project(
+    context: typer.Context,
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
+    *,
+    dataset: Path | None = arguments.DATASET,
+    selection: ScanSelection,
+    topic: str | None = arguments.TOPIC,
+    settings: Annotated[arguments.Network, Without({"device", "precision", "engine", "intensity"})],
+    running: RunOptions,
+    strict: bool = arguments.STRICT,
+    output: console.Output,
+) -> None:
+    """Project scans onto range images, for `predict` or your own programs.
+
+    Example: salsanext project seq/velodyne out/
+    """
+    from salsanext_cli.commands.stages.project import project_scans
+
+    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    source = places.scans
+    out = places.out
+    sensor = settings.named_sensor() or settings.trained_sensor()
+    with over_scans("project", running, output.quiet) as options:
+        outcome = project_scans(
+            source,
+            out,
+            sensor=sensor,
+            fit=settings.fits_view,
+            fit_mounting=settings.fits_mounting,
+            selection=selection,
+            options=options,
+        )
+    # OUT has the range images, and gets the labels of their pixels.
+    following = next_command(outcome, ["predict", out, out], _network_as_typed(settings))
+    summary.print_summary_and_exit(
+        "project", outcome, out, output, following=following, strict=strict
+    )
+
+
+def _network_as_typed(settings: NetworkSettings) -> list[str]:
+    """Return the options by which `predict` takes the network of the range images."""
+    from salsanext_cli.runs.results.repeated_settings import settings_as_typed
+
+    weights = {"weights": settings.weights} if settings.weights else {}
+    return settings_as_typed(weights | settings.named())

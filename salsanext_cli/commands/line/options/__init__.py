@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Options: their declarations, and how Typer reads them."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Output: messages, progress, summaries and help."""
