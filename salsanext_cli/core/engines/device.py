@@ -117,18 +117,14 @@ def processor_flags() -> frozenset[str]:
 def bfloat16_instructions() -> list[str]:
     """Return the flags of instructions that multiply bfloat16 and that the environment allows."""
     limit = _isa_limit()
-    return [
-        f
-        for f in BFLOAT16_ISA
-        if f in processor_flags() and any(p in limit for p in BFLOAT16_ISA[f])
-    ]
+    available = [flag for flag in BFLOAT16_ISA if flag in processor_flags()]
+    return [flag for flag in available if any(part in limit for part in BFLOAT16_ISA[flag])]
 
 
 def multiplies_tiles_of_bytes() -> bool:
     """Return whether the CPU multiplies tiles of bytes (AMX) and the environment allows it."""
-    return BYTE_TILES in processor_flags() and any(
-        p in _isa_limit() for p in BFLOAT16_ISA["amx_bf16"]
-    )
+    is_allowed = any(part in _isa_limit() for part in BFLOAT16_ISA["amx_bf16"])
+    return is_allowed and BYTE_TILES in processor_flags()
 
 
 def _isa_limit() -> str:

@@ -70,9 +70,8 @@ class Tally:
     """Votes of all scans for the points of one scan."""
 
     probabilities: Float  # (N, C) float32: mean of the votes, 0 without a vote
-    scan_counts: npt.NDArray[
-        np.uint16
-    ]  # (N,): number of scans that see the location, 0 without a vote
+    # (N,): number of scans that see the location, 0 without a vote
+    scan_counts: npt.NDArray[np.uint16]
 
     def fused(self, labels: TrainIds) -> TrainIds:
         """Return the labels (N,) by all scans that see the points; unlabelled points stay so."""

@@ -172,8 +172,8 @@ def evaluate(
         metavar="LIMITS",
     ),
     fail_over: str | None = option(
-        "Exit with status 1 if a score is above its limit in %, such as ece=2; guarantee has the limit "
-        "of `tune risk`.",
+        "Exit with status 1 if a score is above its limit in %, such as ece=2; guarantee has the "
+        "limit of `tune risk`.",
         metavar="LIMITS",
     ),
     query: ResultQuery,
