@@ -40,7 +40,9 @@ USERS = {
     "io/kernel_cache.py": r"numba\.core|\._cache\b",
     "core/engines/conversion.py": r"torch\.jit|openvino\.frontend",
     "training/fused_step.py": r"found_inf",
-    "commands/line/options/typer_interface.py": r"typer\.core|BadParameter\.__base__|get_parameter_source",
+    "commands/line/options/typer_interface.py": (
+        r"typer\.core|BadParameter\.__base__|get_parameter_source"
+    ),
     "training/distributed.py": r"dist\.rendezvous",
     "runs/loop/cluster/ray_cluster.py": r"ray\.cloudpickle",
 }

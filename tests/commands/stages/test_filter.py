@@ -11,7 +11,7 @@ from evaluated import World
 from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
-from salsanext_cli.commands.line.commands.results import _filter_numbers
+from salsanext_cli.commands.line.commands.filter import _filter_numbers
 from salsanext_cli.commands.stages.filter import filter_scans
 from salsanext_cli.core.classes.merging import named_classes
 from salsanext_cli.core.errors import NoInputError, OutputError, UsageError

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.option_fields import argument
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.progress import over_results
@@ -23,7 +23,7 @@ def compare(
     ),
     *,
     query: ResultQuery,
-    running: arguments.ReadOnlyRunOptions,
+    running: declarations.ReadOnlyRunOptions,
     output: console.Output,
 ) -> None:
     """Compare runs on the same scans: scores, and whether a change is clear; changed labels.

@@ -3,10 +3,11 @@
 
 from pathlib import Path
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import command_on_labels
 from salsanext_cli.commands.line.output.progress import over_results
+from salsanext_cli.commands.line.values.typed_values import typed_sensor
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import named_label_space
@@ -15,20 +16,20 @@ from salsanext_cli.runs.sensor_request import with_names
 
 
 def knn_refine(
-    out: Path = arguments.RESULTS,
+    out: Path = declarations.RESULTS,
     *,
-    dataset: Path | None = arguments.DATASET_OF_RESULTS,
+    dataset: Path | None = declarations.DATASET_OF_RESULTS,
     selection: ScanSelection,
-    label_space: str | None = arguments.LABEL_SPACE,
-    sensor: str | None = arguments.sensor_option(
+    label_space: str | None = declarations.LABEL_SPACE,
+    sensor: str | None = declarations.sensor_option(
         show_default="the sensor of the earlier commands, else hdl64"
     ),
-    columns: str | None = arguments.columns_option(
+    columns: str | None = declarations.columns_option(
         show_default="columns of the earlier commands, else x,y,z,intensity"
     ),
     knn: KnnParameters,
     running: RunOptions,
-    strict: bool = arguments.STRICT,
+    strict: bool = declarations.STRICT,
     output: console.Output,
 ) -> None:
     """Assign labels of pixels to points by a vote of the nearest neighbours.
@@ -38,7 +39,7 @@ def knn_refine(
     from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
     from salsanext_cli.runs.results.manifest import Manifest
 
-    scan_sensor = arguments.sensor(sensor)
+    scan_sensor = typed_sensor(sensor)
     if columns is not None:
         scan_sensor = with_names(scan_sensor or Manifest(out).sensor(), columns)
     with over_results("knn-refine", running, output.quiet) as options:

@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.commands.line.commands.look import results_in
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.expansion import Without
 from salsanext_cli.commands.line.options.option_fields import argument, option
 from salsanext_cli.commands.line.options.typer_interface import is_typed
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import next_command
 from salsanext_cli.commands.line.output.progress import over_results, over_scans
+from salsanext_cli.commands.line.values.results_of_pick import results_in
+from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
+from salsanext_cli.commands.line.values.typed_values import typed_position
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -32,7 +34,7 @@ RESULTS_OR_SCANS = argument(
     metavar="OUT|SCANS...",
     show_default="out",
 )
-PICTURES_OUT = arguments.folder_argument("Folder for the pictures of scans.")
+PICTURES_OUT = declarations.folder_argument("Folder for the pictures of scans.")
 
 
 def picture(
@@ -41,16 +43,16 @@ def picture(
     out: Path = PICTURES_OUT,
     *,
     colour: list[str] | None = option(
-        f"height, {arguments.COLOUR_HELP}; may be given several times.",
+        f"height, {declarations.COLOUR_HELP}; may be given several times.",
         "--colour",
         "--color",
         show_default="all that are available",
     ),
-    scale: tuple[float, float] | None = arguments.SCALE,
+    scale: tuple[float, float] | None = declarations.SCALE,
     query: ResultQuery,
-    topic: str | None = arguments.TOPIC,
-    settings: Annotated[arguments.Network, Without(UNUSED_SETTINGS)],
-    origin: str | None = arguments.ORIGIN,
+    topic: str | None = declarations.TOPIC,
+    settings: Annotated[declarations.Network, Without(UNUSED_SETTINGS)],
+    origin: str | None = declarations.ORIGIN,
     running: RunOptions,
     output: console.Output,
 ) -> None:
@@ -75,7 +77,7 @@ def picture(
             )
         summary.print_summary_and_exit("picture", outcome, results, output)
     else:
-        places = arguments.scans_and_out(context, source, out, query.dataset, topic)
+        places = scans_and_out(context, source, out, query.dataset, topic)
         with over_scans("picture", running, output.quiet) as options:
             outcome = picture_scans(
                 places.scans,
@@ -83,7 +85,7 @@ def picture(
                 colours=colours,
                 scale=scale,
                 settings=settings,
-                origin=arguments.position("--origin", origin),
+                origin=typed_position("--origin", origin),
                 query=query,
                 options=options,
             )

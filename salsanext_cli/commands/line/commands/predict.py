@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.option_fields import option, option_group, running_option
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import command_on_labels
 from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_scans
 from salsanext_cli.commands.line.values.jobs_option import MeasuredRunOptions
+from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
+from salsanext_cli.commands.line.values.typed_values import typed_position, typed_share
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.texts import counted, percentage
@@ -73,7 +75,7 @@ class Extras:
         """Largest probability of error of an accepted point, as `predict_scans` takes it."""
         if self.reject == "risk":
             return "risk"
-        return arguments.share("--reject", self.reject, word="risk")
+        return typed_share("--reject", self.reject, word="risk")
 
     def require_fusable(self, source: Path | list[Path], out: Path, running: RunOptions) -> None:
         """Refuse scans and options that cannot be fused."""
@@ -93,24 +95,24 @@ class Extras:
 
 def predict(
     context: typer.Context,
-    scans: Path | None = arguments.SEVERAL_SCANS,
-    out: Path = arguments.OUT,
+    scans: Path | None = declarations.SEVERAL_SCANS,
+    out: Path = declarations.OUT,
     *,
     extras: Extras,
-    dataset: Path | None = arguments.DATASET,
+    dataset: Path | None = declarations.DATASET,
     selection: ScanSelection,
-    topic: str | None = arguments.TOPIC,
-    classes: str | None = arguments.CLASSES,
-    settings: arguments.Network,
-    origin: str | None = arguments.ORIGIN,
+    topic: str | None = declarations.TOPIC,
+    classes: str | None = declarations.CLASSES,
+    settings: declarations.Network,
+    origin: str | None = declarations.ORIGIN,
     knn: KnnParameters,
     batch: int | None = running_option(
         "Scans computed together, halved if memory runs out.",
         show_default="1 on a CPU, several on a GPU",
     ),
     running: MeasuredRunOptions,
-    dry_run: bool = arguments.DRY_RUN,
-    strict: bool = arguments.STRICT,
+    dry_run: bool = declarations.DRY_RUN,
+    strict: bool = declarations.STRICT,
     output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
@@ -125,13 +127,13 @@ def predict(
     from salsanext_cli.runs.fit.range_images import projected_sensor
     from salsanext_cli.runs.results.paths import FUSED
 
-    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    places = scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
     out = places.out
     if extras.fuse:
         extras.require_fusable(source, out, running)
     settings = replace(settings, classes=classes)
-    position = arguments.position("--origin", origin)
+    position = typed_position("--origin", origin)
     range_images: Path | None = None  # Output of `project`, if that is the source
     if isinstance(source, Path) and projected_sensor(source) is not None:
         range_images = source

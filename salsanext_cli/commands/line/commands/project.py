@@ -6,27 +6,33 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.expansion import Without
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import next_command
 from salsanext_cli.commands.line.output.progress import over_scans
+from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
+UNUSED_SETTINGS = ("device", "precision", "engine", "intensity")
+"""Fields of `NetworkSettings` that range images do not depend on."""
+
 
 def project(
     context: typer.Context,
-    scans: Path | None = arguments.SEVERAL_SCANS,
-    out: Path = arguments.OUT,
+    scans: Path | None = declarations.SEVERAL_SCANS,
+    out: Path = declarations.OUT,
     *,
-    dataset: Path | None = arguments.DATASET,
+    dataset: Path | None = declarations.DATASET,
     selection: ScanSelection,
-    topic: str | None = arguments.TOPIC,
-    settings: Annotated[arguments.Network, Without({"device", "precision", "engine", "intensity"})],
+    topic: str | None = declarations.TOPIC,
+    settings: Annotated[
+        declarations.Network, Without({"device", "precision", "engine", "intensity"})
+    ],
     running: RunOptions,
-    strict: bool = arguments.STRICT,
+    strict: bool = declarations.STRICT,
     output: console.Output,
 ) -> None:
     """Project scans onto range images, for `predict` or your own programs.
@@ -35,7 +41,7 @@ def project(
     """
     from salsanext_cli.commands.stages.project import project_scans
 
-    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    places = scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
     out = places.out
     sensor = settings.named_sensor() or settings.trained_sensor()

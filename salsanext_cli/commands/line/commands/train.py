@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.completion import completer
 from salsanext_cli.commands.line.options.option_fields import (
     argument,
@@ -17,6 +17,7 @@ from salsanext_cli.commands.line.options.option_fields import (
 from salsanext_cli.commands.line.output import console
 from salsanext_cli.commands.line.output.interruption import on_interruption, require_uninterrupted
 from salsanext_cli.commands.line.output.progress import progress_display
+from salsanext_cli.commands.line.values.typed_values import typed_sensor
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import weights_file
 from salsanext_cli.runs.results.query import named_label_space
@@ -77,18 +78,20 @@ class Start:
 
 
 def train(
-    dataset: Path = arguments.labelled_argument(default=Path(), show_default="the current folder"),
+    dataset: Path = declarations.labelled_argument(
+        default=Path(), show_default="the current folder"
+    ),
     run: Path = argument("Folder to write weights and log to.", default=Path("run"), metavar="RUN"),
     *,
     start: Start,
-    label_space: str | None = arguments.LABEL_SPACE,
-    device: str = arguments.DEVICE,
+    label_space: str | None = declarations.LABEL_SPACE,
+    device: str = declarations.DEVICE,
     samples: Literal["auto", "device", "workers"] = running_option(
         "Where samples are made: on the device, from scans in its memory, or by processes.",
         default="auto",
         show_default="as before in RUN, else the device if it is a GPU",
     ),
-    jobs: int | None = arguments.jobs_option(
+    jobs: int | None = declarations.jobs_option(
         default=None,
         show_default="1, on a GPU one per core up to 8; one per core to read for the device",
     ),
@@ -96,7 +99,7 @@ def train(
         "Also write event files for TensorBoard to RUN/events; needs the package tensorboard.",
         default=False,
     ),
-    overwrite: bool = arguments.OVERWRITE,
+    overwrite: bool = declarations.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
@@ -119,7 +122,7 @@ def train(
             dataset,
             run,
             recipe=start.changed_recipe(),
-            sensor=arguments.sensor(start.sensor),
+            sensor=typed_sensor(start.sensor),
             space=named_label_space(label_space),
             device=device,
             samples=samples,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.expansion import Declared, Default, Without, expanded
 from salsanext_cli.commands.line.options.option_fields import (
     DeclarationChange,
@@ -20,6 +20,7 @@ from salsanext_cli.commands.line.output import console
 from salsanext_cli.commands.line.output.console import guarded
 from salsanext_cli.commands.line.output.help import Command, Group
 from salsanext_cli.commands.line.output.progress import writing
+from salsanext_cli.commands.line.values.typed_values import typed_share
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -38,15 +39,15 @@ FitOptions = Annotated[
     Fit,
     Declared(
         split=DeclarationChange(show_default="valid, and the sequences of no split"),
-        limit=arguments.SUBSET,
+        limit=declarations.SUBSET,
     ),
     Default(precision="auto"),
 ]
 
 
 def tune_temperature(
-    dataset: Path = arguments.labelled_argument(default=...),
-    target: Path = arguments.WEIGHTS_OUT,
+    dataset: Path = declarations.labelled_argument(default=...),
+    target: Path = declarations.WEIGHTS_OUT,
     *,
     fit: FitOptions,
     output: console.Output,
@@ -73,8 +74,8 @@ def tune_temperature(
 
 
 def tune_error(
-    dataset: Path = arguments.labelled_argument(default=...),
-    target: Path = arguments.WEIGHTS_OUT,
+    dataset: Path = declarations.labelled_argument(default=...),
+    target: Path = declarations.WEIGHTS_OUT,
     *,
     fit: FitOptions,
     output: console.Output,
@@ -108,8 +109,8 @@ def tune_error(
 
 
 def tune_risk(
-    dataset: Path = arguments.labelled_argument(default=...),
-    target: Path = arguments.WEIGHTS_OUT,
+    dataset: Path = declarations.labelled_argument(default=...),
+    target: Path = declarations.WEIGHTS_OUT,
     *,
     at_most: str = option(
         "Limit on the share of the points of known classes that are accepted and wrong, such as "
@@ -143,8 +144,8 @@ def tune_risk(
 
     if record:
         require_target(record, fit.overwrite, ".json")
-    limit = arguments.share("--at-most", at_most)
-    share_of_units = arguments.share("--confidence", confidence)
+    limit = typed_share("--at-most", at_most)
+    share_of_units = typed_share("--confidence", confidence)
     try:
         with writing("tune risk", output.quiet, at_end=True) as bar:
             tuned = stage(
@@ -175,8 +176,8 @@ def tune_risk(
 
 
 def tune_dropout(
-    dataset: Path = arguments.labelled_argument(default=...),
-    target: Path = arguments.WEIGHTS_OUT,
+    dataset: Path = declarations.labelled_argument(default=...),
+    target: Path = declarations.WEIGHTS_OUT,
     *,
     samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
     fit: Annotated[FitOptions, Default(limit=20)],
@@ -206,13 +207,13 @@ def tune_dropout(
 
 
 def tune_int8(
-    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
-    target: Path = arguments.WEIGHTS_OUT,
+    scans: Path = argument(declarations.SCANS_HELP, default=..., metavar="SCANS"),
+    target: Path = declarations.WEIGHTS_OUT,
     *,
     fit: Annotated[
         Fit,
         Without({"device", "precision", "engine"}),
-        Declared(split=DeclarationChange(show_default="all scans"), limit=arguments.SUBSET),
+        Declared(split=DeclarationChange(show_default="all scans"), limit=declarations.SUBSET),
         Default(limit=16),
     ],
     output: console.Output,

@@ -7,12 +7,13 @@ from typing import Literal
 
 import typer
 
-from salsanext_cli.commands.line.options import arguments
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.option_fields import option
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import next_command
 from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_scans
+from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -20,8 +21,8 @@ from salsanext_cli.runs.results.scan_selection import ScanSelection
 
 def uncertainty(
     context: typer.Context,
-    scans: Path | None = arguments.SEVERAL_SCANS,
-    out: Path = arguments.OUT,
+    scans: Path | None = declarations.SEVERAL_SCANS,
+    out: Path = declarations.OUT,
     *,
     samples: int = option("Monte-Carlo passes per scan.", default=30),
     seed: int = option("Random seed of dropout masks and noise.", default=0),
@@ -30,15 +31,15 @@ def uncertainty(
         "propagation of the noise through the network as in the paper.",
         default="copies",
     ),
-    dataset: Path | None = arguments.DATASET,
+    dataset: Path | None = declarations.DATASET,
     selection: ScanSelection,
-    topic: str | None = arguments.TOPIC,
-    classes: str | None = arguments.CLASSES,
-    settings: arguments.Network,
+    topic: str | None = declarations.TOPIC,
+    classes: str | None = declarations.CLASSES,
+    settings: declarations.Network,
     knn: KnnParameters,
     running: RunOptions,
-    dry_run: bool = arguments.DRY_RUN,
-    strict: bool = arguments.STRICT,
+    dry_run: bool = declarations.DRY_RUN,
+    strict: bool = declarations.STRICT,
     output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
@@ -49,7 +50,7 @@ def uncertainty(
     from salsanext_cli.commands.stages.uncertainty import uncertainty as stage
     from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 
-    places = arguments.scans_and_out(context, scans, out, dataset, topic)
+    places = scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
     out = places.out
     settings = replace(settings, classes=classes)

@@ -14,9 +14,9 @@ from scans import SMALL, labels_below, refused, write_weights
 from typer.testing import CliRunner
 
 from salsanext_cli.commands.line.app import app
-from salsanext_cli.commands.line.options.arguments import share
 from salsanext_cli.commands.line.options.expansion import Declared, Default, Without, expanded
 from salsanext_cli.commands.line.options.option_fields import DeclarationChange
+from salsanext_cli.commands.line.values.typed_values import typed_share
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.io.formats import SCAN_SUFFIXES
@@ -172,10 +172,10 @@ def test_the_likely_weights_are_those_beside_a_wrong_name(run, tmp_path):
 
 def test_a_word_that_is_no_share_is_answered_by_what_the_option_takes():
     with refused(UsageError, "--reject") as caught:
-        share("--reject", "rsk", word="risk")
+        typed_share("--reject", "rsk", word="risk")
     assert caught.value.expected.endswith("or risk")
     with refused(UsageError, "--at-most") as caught:
-        share("--at-most", "rsk")
+        typed_share("--at-most", "rsk")
     assert "risk" not in caught.value.expected + caught.value.hint
 
 
@@ -197,11 +197,11 @@ def test_fuse_names_the_options_that_it_was_given_with(run, data, tmp_path, opti
 def test_a_share_above_one_is_answered_by_the_percentage(run):
     for value, meant in (("10", "10%?"), ("5.5", "5.5%?")):
         with refused(UsageError, "--at-most") as caught:
-            share("--at-most", value)
+            typed_share("--at-most", value)
         assert caught.value.hint.endswith(meant)
-    assert share("--at-most", "10%") == share("--at-most", "0.1") == 0.1
+    assert typed_share("--at-most", "10%") == typed_share("--at-most", "0.1") == 0.1
     with refused(UsageError, "--at-most") as caught:
-        share("--at-most", "500%")
+        typed_share("--at-most", "500%")
     assert not caught.value.hint
 
 

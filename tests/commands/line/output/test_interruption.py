@@ -34,7 +34,7 @@ IMPORT = """
 import os, signal, sys
 class Finder:
     def find_spec(self, name, *_):
-        if name == "salsanext_cli.commands.line.commands.own_data":
+        if name == "salsanext_cli.commands.line.commands.pick":
             os.kill(os.getpid(), NUMBER)
 sys.meta_path.insert(0, Finder())
 signal.signal(signal.SIGINT, signal.default_int_handler)
