@@ -157,7 +157,8 @@ def new_codes(before: Sequence[UnitTraits], now: Sequence[UnitTraits]) -> tuple[
 
 def are_comparable(before: int, now: int) -> bool:
     """Return whether a permutation test of two groups of so many units can show a difference."""
-    return before > 0 and now > 0 and math.comb(before + now, now) * LIKELY >= 1
+    # The number of divisions may be too large for a float, but it can be compared with one.
+    return before > 0 and now > 0 and math.comb(before + now, now) >= 1 / LIKELY
 
 
 def population_difference(

@@ -3,6 +3,7 @@
 
 import itertools
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -87,6 +88,20 @@ def test_no_chance_is_below_that_of_one_division(before, now):
     difference = population_difference(usual, others, NAMES)
     if are_comparable(before, now):
         assert difference is None or difference.chance >= one
+
+
+@pytest.mark.parametrize(("before", "now"), [(600, 600), (4071, 170), (5000, 5000)])
+def test_groups_with_more_divisions_than_a_float_can_hold_are_compared(before, now):
+    assert math.comb(before + now, now) > sys.float_info.max
+    assert are_comparable(before, now)
+
+
+def test_many_scans_differ_by_the_same_measure_as_few():
+    rng = np.random.default_rng(7)
+    drawn = units(rng, 1200, 0.8, (0.2, 0.5, 0.3))
+    others = units(rng, 600, 0.7, (0.2, 0.5, 0.3))
+    assert population_difference(drawn[:600], drawn[600:], NAMES) is None
+    assert population_difference(drawn[:600], others, NAMES).trait == "uncertainty"
 
 
 @pytest.mark.parametrize("count", [8, 24])

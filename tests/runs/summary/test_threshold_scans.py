@@ -110,3 +110,8 @@ def test_a_threshold_of_an_early_version_is_compared_by_what_it_has():
 )
 def test_few_drives_cannot_be_compared(chosen, units, reason):
     assert why_incomparable(threshold(count=chosen), units) == reason
+
+
+def test_many_scans_can_be_compared():
+    risk = threshold("scan", count=600)
+    assert why_incomparable(risk, 600) == ""
