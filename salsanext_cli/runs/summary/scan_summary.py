@@ -243,6 +243,13 @@ class RunSummary:
             log_finding(f"sequence {name}", finding, self.out)
             self.findings.setdefault(finding.code, []).append((name, finding))
 
+    def add_findings_of(self, step: RunSummary) -> None:
+        """Add the findings of a further step on these scans, at most one of each code and name."""
+        for code, findings in step.findings.items():
+            own_findings = self.findings.setdefault(code, [])
+            names = {name for name, _ in own_findings}
+            own_findings += [(name, finding) for name, finding in findings if name not in names]
+
     def compare_scans(self) -> None:
         """Compare the sensors of the scans added since the last call."""
         for file, finding in mixed_sensors(self.traits).items():

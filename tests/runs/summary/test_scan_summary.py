@@ -22,7 +22,7 @@ from salsanext_cli.core.checks.scan_checks import ScanCheck, check_scan
 from salsanext_cli.core.geometry.scan_traits import groups_of
 from salsanext_cli.core.measures.counts import ScanCounts
 from salsanext_cli.core.measures.population import population_difference, unit_traits
-from salsanext_cli.core.network.card import RiskThreshold
+from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.paths import ScanFile
@@ -274,3 +274,23 @@ def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold():
             summary.names = set(names)
             summary.compare_scans()
     assert [call["now"] for call in comparisons] == [tuple(traits.values())] * 2
+
+
+def test_findings_of_two_steps_are_those_of_both():
+    predicted = RunSummary(sensor=SMALL, space=SPACE, accuracy=AccuracyLine(1.0, 0.0, 0.05))
+    fused = RunSummary(sensor=SMALL, space=SPACE)
+    for summary, stems in ((predicted, "ab"), (fused, "bc")):
+        for stem in "abcd":
+            codes = ("one-class",) if stem in stems else ()
+            findings = tuple(Finding(code, f"{stem}", LABELS_HINT) for code in codes)
+            file = replace(FILE, stem=stem)
+            check = ScanCheck(findings=findings)
+            summary.add(ScanSummary(file=file, check=check, confidence=0.8))
+    fused.add_sequence("08", [Finding("apart", "2 parts", LABELS_HINT)])
+    predicted.add_findings_of(fused)
+    apart, one_class = predicted.warnings()
+    assert (apart.code, apart.scans) == ("apart", ["08"])
+    assert one_class.scans == ["08/a", "08/b", "08/c"]
+    estimate = predicted.expected_accuracy()
+    assert (estimate.scans, estimate.withheld) == (1, {"one-class": 3})
+    assert [len(findings) for findings in fused.findings.values()] == [2, 1]

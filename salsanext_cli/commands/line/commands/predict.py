@@ -247,7 +247,7 @@ def _with_fusion(
         fused = fuse_results(out, target, query=ResultQuery(selection=selection), options=options)
     output.print(f"fuse: {counted(fused.done, 'scan')} → {target}")
     if prediction.summary is not None and fused.summary is not None:
-        prediction.summary.findings.update(fused.summary.findings)
+        prediction.summary.add_findings_of(fused.summary)
     failures = dict.fromkeys((*prediction.failures, *fused.failures))
     return replace(prediction, failures=tuple(failures))
 

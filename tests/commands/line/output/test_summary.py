@@ -4,6 +4,7 @@
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,17 +14,20 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
-from salsanext_cli.commands.line.commands.predict import MANY_SCANS, _advice, _numbers
+from salsanext_cli.commands.line.commands.predict import MANY_SCANS, _advice, _numbers, _with_fusion
 from salsanext_cli.commands.line.output.next_command import command_on_labels, next_command
 from salsanext_cli.commands.line.output.summary import _lines_on_scans, print_failures, scans_data
 from salsanext_cli.commands.stages.predict import PredictOutcome
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.label_checks import LABELS_HINT
 from salsanext_cli.core.engines import device
 from salsanext_cli.io.formats.kitti_labels import write_labels
-from salsanext_cli.runs.loop.run import Failure, Outcome
+from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord, settings_json
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.summary.scan_summary import RunSummary
 
 
@@ -279,3 +283,17 @@ def test_the_line_of_unlabelled_points_states_their_causes():
     assert "; 10.0 % on " in line
     assert line.endswith("; 20.0 % rejected)")
     assert scans_data(summary, has_results=True)["unmeasured_share"] == 0.3
+
+
+def test_warnings_of_fused_labels_join_those_of_single_scans(tmp_path, monkeypatch):
+    predicted, fused = (RunSummary(sensor=SMALL, space=label_space()) for _ in range(2))
+    for summary, stem in ((predicted, "a"), (fused, "b")):
+        summary.add_finding(f"08/{stem}", Finding("one-class", f"{stem} is road", LABELS_HINT))
+    stage = "salsanext_cli.commands.stages.fuse.fuse_results"
+    monkeypatch.setattr(stage, lambda *_, **__: outcome_of(fused))
+    outcome = PredictOutcome.from_run(outcome_of(predicted))
+    output = SimpleNamespace(print=print, quiet=True)
+    target = tmp_path / "fused"
+    both = _with_fusion(outcome, tmp_path, target, ScanSelection(), RunOptions(), output)
+    (warning,) = both.summary.warnings()
+    assert (warning.message, warning.scans) == ("a is road", ["08/a", "08/b"])
