@@ -50,6 +50,7 @@ class PredictOutcome(Outcome):
 
     # Number of points that were left unlabelled by their uncertainty; None without a limit
     rejected_points: int | None = None
+    has_int8_ranges: bool = False  # Whether the weights can compute in int8
 
 
 def predict_scans(
@@ -133,7 +134,9 @@ def predict_scans(
             task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )
     rejected_points = summary.rejected_points if rejection else None
-    return PredictOutcome.from_run(outcome, rejected_points=rejected_points)
+    return PredictOutcome.from_run(
+        outcome, rejected_points=rejected_points, has_int8_ranges=bool(network.card.int8)
+    )
 
 
 def plan_prediction(
@@ -272,4 +275,4 @@ def predict_range_images(
             writes=[out],
             reads=[folder],
         )
-    return PredictOutcome.from_run(outcome)
+    return PredictOutcome.from_run(outcome, has_int8_ranges=bool(network.card.int8))

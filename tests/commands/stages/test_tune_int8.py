@@ -67,11 +67,12 @@ def test_a_threshold_chosen_with_other_ranges_is_removed(world, network, target,
 def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, network, target):
     tune_int8(world.data, target, settings=network)
     int8 = replace(network, weights=target, precision="int8", fit=False)
-    predict_scans(world.data, world.out, settings=int8, extras=("pixel_labels",))
+    predicted = predict_scans(world.data, world.out, settings=int8, extras=("pixel_labels",))
+    assert predicted.has_int8_ranges
     seen = int8.load().sensor
     steps = world.out.with_name("steps")
     project_scans(world.data, steps, sensor=seen)
-    predict_range_images(steps, steps, settings=int8)
+    assert predict_range_images(steps, steps, settings=int8).has_int8_ranges
     float32 = replace(int8, precision="float32")
     predict_scans(world.data, world.out.with_name("f"), settings=float32, extras=("pixel_labels",))
     name = "sequences/08/pixel_labels/000000.npy"
@@ -95,6 +96,7 @@ def test_a_network_without_hidden_layers_is_refused(world, network, target, monk
 
 
 def test_what_cannot_be_fitted_is_refused(world, network, target):
+    assert not predict_scans(world.data, world.out, settings=network).has_int8_ranges
     with refused(WeightsError, network.path):
         replace(network, precision="int8").load()
     for scan in world.data.glob("sequences/*/velodyne/*"):

@@ -221,10 +221,12 @@ def _advice(settings: NetworkSettings, outcome: "PredictOutcome", out: Path) -> 
     from salsanext_cli.core.engines.registry import computes_int8
     from salsanext_cli.runs.results.manifest import Manifest
 
-    if settings.precision != AUTO or outcome.done <= MANY_SCANS:
+    if settings.precision != AUTO or outcome.done <= MANY_SCANS or not outcome.has_int8_ranges:
         return ""
     recorded = Manifest(out).settings("predict")
     if recorded is None or not computes_int8(recorded.engine):
+        return ""
+    if recorded.guarantee is not None:  # It covers the labels of this precision only.
         return ""
     if bfloat16_instructions() or "avx2" not in processor_flags():
         return ""

@@ -21,6 +21,7 @@ from salsanext_cli.commands.stages.predict import PredictOutcome
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.label_checks import LABELS_HINT
 from salsanext_cli.core.engines import device
+from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -231,6 +232,8 @@ def test_report_prints_the_path_of_the_page(run, world):
     ("changes", "flags", "named"),
     [
         ({}, "avx2", True),
+        ({"ranges": False}, "avx2", False),
+        ({"guarantee": RiskThreshold("error", 0.2, 0.1, None, 12, ("00",))}, "avx2", False),
         ({"done": MANY_SCANS}, "avx2", False),
         ({"precision": "float32"}, "avx2", False),
         ({"engine": "torch"}, "avx2", False),
@@ -241,15 +244,21 @@ def test_report_prints_the_path_of_the_page(run, world):
 def test_a_long_run_without_bfloat16_names_int8(
     changes, flags, named, weights, tmp_path, monkeypatch
 ):
-    given = {"done": MANY_SCANS + 1, "precision": "auto", "engine": "openvino", **changes}
-    recorded = PredictSettings(precision="float32", engine=given["engine"])
+    defaults = {"done": MANY_SCANS + 1, "precision": "auto", "engine": "openvino", "ranges": True}
+    given = {**defaults, "guarantee": None, **changes}
+    recorded = PredictSettings(
+        precision="float32", engine=given["engine"], guarantee=given["guarantee"]
+    )
     record = StageRecord(stage="predict", settings=settings_json(recorded))
     Manifest(tmp_path).write(record)
     monkeypatch.setattr(device, "processor_flags", lambda: frozenset(flags.split()))
     for variable in device.ISA_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     settings = NetworkSettings(weights, precision=given["precision"])
-    advice = _advice(settings, outcome_of(done=given["done"]), tmp_path)
+    outcome = PredictOutcome.from_run(
+        outcome_of(done=given["done"]), has_int8_ranges=given["ranges"]
+    )
+    advice = _advice(settings, outcome, tmp_path)
     assert ("--precision int8" in advice) == named
 
 
