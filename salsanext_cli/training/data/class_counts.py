@@ -32,10 +32,11 @@ from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.data.reading_progress import with_progress
-from salsanext_cli.training.data.sources import Source, read_labelled
+from salsanext_cli.training.data.sources import Source, read_labelled, without_vehicle
 
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01  # Share of scored training points below which a class is rare
+COUNTED_POINTS = "without those of the vehicle"  # Counts of version 0.9 are counted again
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +69,7 @@ class CountedScans:
 
 
 def count_classes(source: Source, jobs: int = 1) -> CountedScans:
-    """Read the scans of a source, check them and count their classes."""
+    """Read the scans of a source, check them and count the classes of the points of training."""
     # Without fitted sensors, the network learns from unchanged intensities.
     plain = replace(source.sensor, intensity_quantiles=())
 
@@ -78,8 +79,9 @@ def count_classes(source: Source, jobs: int = 1) -> CountedScans:
         annotated = read_labelled(file, source.space, seen)
         scan = annotated.scan
         check = check_scan(file.path, scan, sensor_of(scan, seen), trained)
+        trained_labels = without_vehicle(annotated, seen).labels
         return CountedScan(
-            points=np.bincount(annotated.labels, minlength=source.space.class_count),
+            points=np.bincount(trained_labels, minlength=source.space.class_count),
             summary=ScanSummary(file=file, check=check),
             digest=scan_digest(scan),
         )
@@ -206,7 +208,7 @@ def _cached(
 
 def data_digest(sources: Sequence[Source], validated: Sequence[ScanFile], also: float) -> str:
     """Return a digest of all that class counts depend on, such as sizes and times of files."""
-    settings: list[Any] = [also]
+    settings: list[Any] = [COUNTED_POINTS, also]
     for source in sources:
         sensors = [source.sensor, *source.fitted.values()]
         settings += [source.space.to_dict(), *(sensor.to_dict() for sensor in sensors)]

@@ -52,6 +52,29 @@ def read_labelled(
     return AnnotatedScan(scan, to_targets(raw, space, sets, labels_source(file)))
 
 
+def without_vehicle(annotated: AnnotatedScan, sensor: Sensor) -> AnnotatedScan:
+    """Return a scan in the frame of its sensor, without points on the sensor or its vehicle.
+
+    Parameters
+    ----------
+    annotated : AnnotatedScan
+        N points in the frame of their file, and their targets.
+    sensor : Sensor
+        Sensor, or sensors, of such scans.
+
+    Returns
+    -------
+    AnnotatedScan
+        The other points, in metres, and their targets.
+    """
+    scan = in_sensor_frame(annotated.scan, sensor_of(annotated.scan, sensor))
+    ego = ego_points(scan.points, sensor)
+    if not len(ego):
+        return AnnotatedScan(scan, annotated.labels)
+    others = np.delete(np.arange(len(scan)), ego)
+    return AnnotatedScan(scan.take(others), annotated.labels[others])
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Source:
     """Labelled scans of one data set, their label space and sensor.
@@ -79,19 +102,13 @@ class Source:
     def read(self, file: ScanFile, sets: ClassSets) -> AnnotatedScan:
         """Read a scan without the vehicle's points, in the sensor frame, and its targets, (N,)."""
         sensor = self.sensor_of(file)
-        annotated = read_labelled(file, self.space, sensor, sets)
-        scan = in_sensor_frame(annotated.scan, sensor_of(annotated.scan, sensor))
-        targets = annotated.labels
-        ego = ego_points(scan.points, sensor)
-        if len(ego):
-            rest = np.delete(np.arange(len(scan)), ego)
-            scan = scan.take(rest)
-            targets = targets[rest]
+        annotated = without_vehicle(read_labelled(file, self.space, sensor, sets), sensor)
+        scan = annotated.scan
         quantiles = sensor.intensity_quantiles
         trained = self.sensor.intensity_quantiles
         if quantiles and trained and quantiles != trained:
             scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, trained))
-        return AnnotatedScan(scan, targets)
+        return AnnotatedScan(scan, annotated.labels)
 
 
 def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:

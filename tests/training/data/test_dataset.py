@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -190,3 +191,18 @@ def test_counting_counts_every_point(files: list[ScanFile]) -> None:
         own = np.bincount(SPACE.to_train(read_labels(files[1].label_path)), minlength=20)
         np.testing.assert_array_equal(scans.points[1], own)
         assert scans.digests == [scan_digest(read_bin(file.path)) for file in files]
+
+
+def test_points_of_the_vehicle_are_neither_drawn_nor_counted(files: list[ScanFile]) -> None:
+    low = (-7.0, -3.0, -9.0)
+    high = (7.0, 3.0, 9.0)
+    sensor = replace(SMALL, min_range=5.0, ego_box=low + high)
+    source = Source(files=files, space=SPACE, sensor=sensor)
+    for file, points in zip(files, count_classes(source).points, strict=True):
+        xyz = read_bin(file.path).points
+        is_near = np.linalg.norm(xyz, axis=1) < 5
+        is_vehicle = is_near | ((xyz >= low) & (xyz <= high)).all(axis=1)
+        assert 0 < is_near.sum() < is_vehicle.sum() < len(xyz)
+        labels = SPACE.to_train(read_labels(file.label_path))[~is_vehicle]
+        np.testing.assert_array_equal(points, np.bincount(labels, minlength=SPACE.class_count))
+        np.testing.assert_array_equal(source.read(file, ()).labels, labels)
