@@ -2,7 +2,7 @@
 """Cross-validation of a training: its folds, the number of epochs that it chooses, its scores."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -23,13 +23,21 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     divided: list[list[ScanFile]] = [[] for _ in range(min(count, len(sequences)))]
     for sequence in sorted(sequences, key=len, reverse=True):
         min(divided, key=len).extend(sequence)
-    return [sorted(fold, key=files.index) for fold in divided]
+    number_of = {file: number for number, file in enumerate(files)}
+    return [sorted(fold, key=number_of.__getitem__) for fold in divided]
 
 
 def held_out(files: Sequence[ScanFile], count: int = 5) -> Parts:
     """Return the other scans and the scans of each fold; nothing for a single scan."""
-    parts = folds(files, count) if len(files) > 1 else []
-    return [([file for file in files if file not in part], part) for part in parts]
+    if len(files) < 2:
+        return []
+    return [(others_of(files, fold), fold) for fold in folds(files, count)]
+
+
+def others_of(files: Iterable[ScanFile], fold: Iterable[ScanFile]) -> list[ScanFile]:
+    """Return the scans that are not in a fold, in their order."""
+    members = set(fold)
+    return [file for file in files if file not in members]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.training.cross_validation import expectation, folds
+from salsanext_cli.training.cross_validation import expectation, folds, held_out
 
 
 def scans(*lengths: int) -> list[ScanFile]:
@@ -62,3 +62,20 @@ def test_the_epochs_of_the_highest_mean_over_scored_folds_are_chosen():
     one = expectation([nothing, [row(1, 0.2), row(2, 0.3)]])
     assert (one.epochs, one.folds, one.miou, one.miou_spread) == (2, 1, 0.3, None)
     assert expectation([nothing]) is None
+
+
+def test_scans_of_folds_are_not_compared_with_each_other(monkeypatch):
+    files = scans(90, 30, 60, 20)
+    compared = []
+    is_equal = ScanFile.__eq__
+
+    def noted(file, other):
+        compared.append(file)
+        return is_equal(file, other)
+
+    monkeypatch.setattr(ScanFile, "__eq__", noted)
+    parts = held_out(files, 3)
+    assert len(compared) <= len(files)
+    monkeypatch.undo()
+    for others, fold in parts:
+        assert others == [file for file in files if file not in fold]

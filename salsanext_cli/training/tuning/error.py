@@ -23,7 +23,7 @@ from salsanext_cli.core.uncertainty.error_features import FEATURES, features_of,
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.loop.job import Steps
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.training.cross_validation import held_out
+from salsanext_cli.training.cross_validation import held_out, others_of
 from salsanext_cli.training.tuning.error_training import JudgedPoints, fit_error
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 
@@ -228,8 +228,9 @@ def _scores_held_out(
         return HeldOutScores(folds=0, error=None, existing=None, confidence=None)
     errors = list[Float]()
     for fold in folds:
-        others = {file: points for file, points in judged.items() if file not in fold}
-        model = fit_error(list(others.values()), start, len({file.sequence for file in others}))
+        others = others_of(judged, fold)
+        points_of_others = [judged[file] for file in others]
+        model = fit_error(points_of_others, start, len({file.sequence for file in others}))
         errors += [model.probability(judged[file].features) for file in fold]
     files = [file for fold in folds for file in fold]
     wrong = np.concatenate([judged[file].wrong for file in files])
