@@ -42,10 +42,13 @@ from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.selection import space_of_labels
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, hint_in, log_finding, log_text
-from salsanext_cli.runs.summary.threshold_scans import ThresholdComparison, why_incomparable
+from salsanext_cli.runs.summary.threshold_scans import (
+    ThresholdComparison,
+    TraitSample,
+    why_incomparable,
+)
 
 CLASSES_SHOWN = 5  # Classes that a summary names
-MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
 NOT_COMPARED = "the scans cannot be compared with those that the threshold was chosen on"
 TUNE_AGAIN = "choose the threshold with `salsanext tune risk` on labelled scans like these"
 log = logging.getLogger(__name__)
@@ -164,8 +167,8 @@ class RunSummary:
     ego_points: int = 0  # Number of these on the housing of the sensor or its vehicle
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
-    # Traits of the scans and their labels by name of the scan, of at most `MAX_COMPARED` scans
-    unit_traits: dict[str, UnitTraits] = field(default_factory=dict)
+    # Traits of scans and their labels, to be compared with those of the threshold
+    population: TraitSample = field(default_factory=TraitSample)
     # Names of scans of earlier runs whose results are in the folder, by code of their warnings
     earlier_warnings: dict[str, list[str]] = field(default_factory=dict)
     out: Path | None = None  # Folder of the results, for hints
@@ -222,8 +225,8 @@ class RunSummary:
             self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
             self.add_finding(scan.file.name, finding)
-        if scan.traits is not None and len(self.unit_traits) < MAX_COMPARED:
-            self.unit_traits[scan.file.name] = scan.traits
+        if scan.traits is not None:
+            self.population.add(scan.file.name, scan.traits)
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
         if scan.class_points is not None:
@@ -264,8 +267,9 @@ class RunSummary:
         if risk is None or self.space is None or not self.names or is_reported:
             return
         classes = self.space.names[1:]
+        traits = self.population.chosen()
         compared = ThresholdComparison(
-            files=self.scans, sensor=self.sensor, traits=self.unit_traits, classes=classes
+            files=self.scans, sensor=self.sensor, traits=traits, classes=classes
         )
         problem = compared.difference(risk)
         if problem:
@@ -273,11 +277,11 @@ class RunSummary:
             first, *others = sorted(self.names)
             self.add_finding(first, finding)
             self.findings[WarningCode.OTHER_SCANS] += [(name, finding) for name in others]
-        elif self.unit_traits:
+        elif traits:
             reason = why_incomparable(risk, compared.units(risk))
             if reason:
                 log.log(NOTICE, "%s (%s)", NOT_COMPARED, reason)
-        self.unit_traits.clear()
+        self.population = TraitSample()
 
     def finished(self) -> RunSummary:
         """Compare the scans, log the number of further warnings, and return the summary."""

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from salsanext_cli.core.fitting.view_fit import is_other_view
 from salsanext_cli.core.measures.population import (
@@ -23,6 +24,29 @@ from salsanext_cli.runs.results.selection import data_set_of
 
 UNLIKE = "the scans differ from those that the threshold was chosen on"
 EARLY = "the threshold was chosen by an earlier version, which did not record the sensor"
+MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
+
+
+@dataclass(slots=True, kw_only=True)
+class TraitSample:
+    """Traits of at most `MAX_COMPARED` scans of a run, which are chosen by their names.
+
+    The digests of the names decide, so that the scans are of all drives, and the same ones in
+    whatever order workers finish them.
+    """
+
+    traits: dict[str, UnitTraits] = field(default_factory=dict)  # By name; twice as many at most
+
+    def add(self, name: str, traits: UnitTraits) -> None:
+        """Add the traits of a scan."""
+        self.traits[name] = traits
+        if len(self.traits) >= 2 * MAX_COMPARED:
+            self.traits = self.chosen()
+
+    def chosen(self) -> dict[str, UnitTraits]:
+        """Return the traits of the chosen scans by name."""
+        names = sorted(self.traits, key=_digest)[:MAX_COMPARED]
+        return {name: self.traits[name] for name in names}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +105,11 @@ class ThresholdComparison:
             if all(is_other_view(view, sensor) for view in risk.views):
                 return "another field of view"
         return ""
+
+
+def _digest(name: str) -> bytes:
+    """Return a digest of the name of a scan, which may be no valid text."""
+    return hashlib.sha256(name.encode(errors="surrogateescape")).digest()
 
 
 def _sequence_of(name: str) -> str:

@@ -26,6 +26,7 @@ from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.summary import threshold_scans
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 
 SPACE = label_space()
@@ -261,7 +262,9 @@ def test_the_share_of_the_vehicle_is_one_of_points():
     assert summary.ego_share == pytest.approx(0.05)
 
 
-def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold():
+@pytest.mark.parametrize("most", [3, 5])
+def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold(monkeypatch, most):
+    monkeypatch.setattr(threshold_scans, "MAX_COMPARED", most)
     traits = {
         f"08/{i:06}": UnitTraits(unit=str(i), uncertainty=i / 10, class_shares=()) for i in range(5)
     }
@@ -270,10 +273,14 @@ def test_the_order_of_workers_does_not_change_the_comparison_with_a_threshold():
     with calls_of(population_difference) as comparisons:
         for names in (list(traits), list(traits)[::-1]):
             summary = RunSummary(sensor=SMALL, space=SPACE, threshold=risk)
-            summary.unit_traits = {name: traits[name] for name in names}
+            for name in names:
+                summary.population.add(name, traits[name])
             summary.names = set(names)
             summary.compare_scans()
-    assert [call["now"] for call in comparisons] == [tuple(traits.values())] * 2
+    first, second = (call["now"] for call in comparisons)
+    assert first == second
+    assert len(first) == most
+    assert {*first} <= {*traits.values()}
 
 
 def test_findings_of_two_steps_are_those_of_both():

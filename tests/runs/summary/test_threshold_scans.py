@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli.core.geometry.scan_measures import MEASURES
@@ -13,7 +15,13 @@ from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.summary.threshold_scans import EARLY, ThresholdComparison, why_incomparable
+from salsanext_cli.runs.summary import threshold_scans
+from salsanext_cli.runs.summary.threshold_scans import (
+    EARLY,
+    ThresholdComparison,
+    TraitSample,
+    why_incomparable,
+)
 
 CLASSES = ("car", "road")
 
@@ -115,3 +123,19 @@ def test_few_drives_cannot_be_compared(chosen, units, reason):
 def test_many_scans_can_be_compared():
     risk = threshold("scan", count=600)
     assert why_incomparable(risk, 600) == ""
+
+
+@given(st.permutations(range(9)), st.integers(1, 9))
+def test_a_sample_of_scans_does_not_depend_on_their_order(order, most):
+    units = {f"{i // 3:02}/{i}": traits(str(i), i) for i in range(9)}
+    names = list(units)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(threshold_scans, "MAX_COMPARED", most)
+        in_order = TraitSample(traits=units)
+        sample = TraitSample()
+        for i in order:
+            sample.add(names[i], units[names[i]])
+        chosen = sample.chosen()
+        assert chosen == in_order.chosen()
+    assert len(chosen) == most
+    assert chosen.items() <= units.items()
