@@ -56,8 +56,9 @@ def test_every_stage_in_turn_each_with_one_object_of_json(run, data, weights, tm
         assert (printed["schema"], printed["stage"]) == (2, arguments[0])
     assert len(labels_below(out)) == 2
     assert labels_below(out) == labels_below(steps)
-    refused = run("predict", steps, tmp_path / "objects", "--objects", *network)
-    assert (refused.exit_code, subject(refused)) == (2, "--objects")
+    for option in ("--objects", "--fuse"):
+        refused = run("predict", steps, steps, option, "--json", *network, status=2)
+        assert only_json(refused)["error"].startswith(f"{option}: range images do not contain")
 
 
 def test_scans_are_drawn_before_any_result(run, data, tmp_path):

@@ -130,13 +130,14 @@ def predict(
     places = scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
     out = places.out
-    if extras.fuse:
-        extras.require_fusable(source, out, running)
     settings = replace(settings, classes=classes)
     position = typed_position("--origin", origin)
     range_images: Path | None = None  # Output of `project`, if that is the source
     if isinstance(source, Path) and projected_sensor(source) is not None:
         range_images = source
+        _refuse_options_of_points(extras, knn, batch, position)
+    elif extras.fuse:
+        extras.require_fusable(source, out, running)
     if dry_run:
         if range_images is not None:
             raise UsageError("--dry-run", "plans no range images", "scans as the source")
@@ -155,7 +156,6 @@ def predict(
         return
     with over_scans("predict", running, output.quiet) as options:
         if range_images is not None:
-            _refuse_options_of_points(extras, knn, batch, position)
             prediction = predict_range_images(
                 range_images, out, settings=settings, selection=selection, options=options
             )
