@@ -16,7 +16,7 @@ from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.drive_of_run import drive_of_run
-from salsanext_cli.runs.drives.fusible_results import fusible_results
+from salsanext_cli.runs.drives.fusible_results import fusible_results, sequences_of
 from salsanext_cli.runs.drives.scans_of_drive import drive_findings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -68,7 +68,9 @@ def fuse_results(
     fusible = fusible_results(out, query)
     warn_without_movable_classes(fusible.space)  # Here, not in each worker
     stop = options.on_error == "stop"
-    drives_by_poses = fusible.drives_by_poses(poses, stop=stop)
+    # Other shards compute the drives of their sequences.
+    sequences = sequences_of(options.shard.select(fusible.scans))
+    drives_by_poses = fusible.drives_by_poses(sequences, poses, stop=stop)
     summary = RunSummary(sensor=fusible.sensor, space=fusible.space, scans=fusible.scans)
     votes = output_run(
         out,
@@ -96,7 +98,7 @@ def fuse_results(
             files = fusible.members[name]
             return drive_of_run(files, drives_by_poses[name], single_run, fused_run, fusible.sensor)
 
-        drives = by_sequence(fusible.sequences, drive_of, stop=stop)
+        drives = by_sequence(sequences, drive_of, stop=stop)
 
         def is_done(file: ScanFile) -> bool:
             has_drive = isinstance(drives[file.sequence], Drive)

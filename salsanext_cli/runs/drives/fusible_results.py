@@ -2,7 +2,7 @@
 """Labels and softmax of single scans in an output folder that can be fused."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,15 +42,17 @@ class FusibleResults:
     @property
     def sequences(self) -> list[str]:
         """Names of the sequences of the selected scans."""
-        return list(dict.fromkeys(file.sequence for file in self.scans))
+        return sequences_of(self.scans)
 
     def drives_by_poses(
-        self, poses: Path | None, *, stop: bool
+        self, sequences: Sequence[str], poses: Path | None, *, stop: bool
     ) -> dict[str, Drive | SalsanextError | None]:
-        """Return the drive of each sequence by its poses or its registration, or the error of it.
+        """Return the drives of sequences by their poses or registration, or their errors.
 
         Parameters
         ----------
+        sequences : sequence of str
+            Names of sequences of selected scans.
         poses : Path, optional
             Poses of the only sequence; by default those in the folder of each sequence.
         stop : bool
@@ -70,7 +72,7 @@ class FusibleResults:
         def drive_of(name: str) -> Drive | None:
             return drive_of_scans(self.members[name], self.sensor, origin_of, poses)
 
-        return by_sequence(self.sequences, drive_of, stop=stop)
+        return by_sequence(sequences, drive_of, stop=stop)
 
     def settings_of_votes(self, reach: FusionReach) -> FuseSettings:
         """Return the settings to record beside the labels of single scans."""
@@ -93,6 +95,11 @@ class FusibleResults:
             fused_of=os.path.relpath(self.results.root, target),
             origins=self.results.manifest.origins(SINGLE_SCAN_STAGES),
         )
+
+
+def sequences_of(scans: Iterable[ScanFile]) -> list[str]:
+    """Return the names of the sequences of scans."""
+    return list(dict.fromkeys(file.sequence for file in scans))
 
 
 def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:

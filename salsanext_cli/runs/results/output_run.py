@@ -71,11 +71,11 @@ class OutputRun(OwnedFolder):
         return all(filled(path) and path not in self.foreign for path in paths)
 
     def names_of_results(self, names: Iterable[str]) -> set[str]:
-        """Return the names, as `ScanFile.name`, of the scans that have all their results."""
+        """Return the names of scans that have all their results; names of sequences are skipped."""
         complete: set[str] = set()
         for name in names:
             sequence, _, stem = name.rpartition("/")
-            if self.has_results(sequence, stem):
+            if sequence and self.has_results(sequence, stem):
                 complete.add(name)
         return complete
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import calls_of
 from command_line import called, invoked, only_json
 from fused import fuse
 from scans import files_below, refused, write_bin
@@ -28,7 +29,10 @@ from salsanext_cli.core.errors import (
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.poses import encode_poses, read_fused_poses
+from salsanext_cli.runs.drives.drive_of_run import drive_of_run
+from salsanext_cli.runs.drives.poses_of_sequence import checked_drive
 from salsanext_cli.runs.loop.run import RunOptions
+from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
@@ -438,3 +442,28 @@ def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypat
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(SalsanextError, match=r"\[fuse\]"):
         next(label_drive(folder, weights))
+
+
+def test_a_share_needs_the_drives_of_its_sequences_only(world):
+    write_drive(world, 3)
+    (world.data / "sequences/00/poses.txt").write_bytes(encode_poses(way(1)))
+    predict_scans(world.data, world.out, settings=world.network, extras=("probabilities",))
+    steps = (checked_drive, drive_of_run) * 2
+    sequences = ("00", "08", "08", "08")
+    for number, (step, sequence) in enumerate(zip(steps, sequences, strict=True), start=1):
+        with calls_of(step) as calls:
+            outcome = fuse_results(world.out, options=RunOptions(shard=Shard(number, 4)))
+        assert outcome.done == 1
+        assert [call["files"][0].sequence for call in calls] == [sequence]
+    assert fuse_results(world.out).skipped == 4
+
+
+def test_sequences_are_fused_one_after_the_other_whatever_was_found(world):
+    write_drive(world, 2)
+    (world.data / "sequences/00/poses.txt").write_bytes(encode_poses(way(1)))
+    predict_scans(world.data, world.out, settings=world.network, extras=("probabilities",))
+    for sequence, codes in (("00", {"apart"}), ("08", set())):
+        query = ResultQuery(selection=ScanSelection(sequences=(sequence,)))
+        outcome = fuse_results(world.out, query=query)
+        assert outcome.summary.findings.keys() == codes
+    assert {*OwnedFolder(world.out / "fused", "fuse").findings()} == {"00"}
