@@ -1,5 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Estimated accuracy of a run without labels, from the mean confidence of its scans."""
+"""Estimated accuracy of a run without labels, from the mean confidence of its scans.
+
+There is no estimate for:
+
+- weights without a line: of a published checkpoint, or of a training that inherited none
+- labels of pixels and labels of `fuse`: the line is of the points of single scans
+- a run that rejects labels: the accuracy of the accepted ones is unknown
+- scans of earlier runs, in a summary; a report reads their confidence from files
+
+It is withheld, with the codes as reasons, for:
+
+- a scan with a warning whose code `withholds_estimate`
+- all scans of a folder if one of them, in this or an earlier run, has a warning of `OF_RUN`
+"""
 
 from __future__ import annotations
 
