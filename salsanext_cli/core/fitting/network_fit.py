@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Fit of a network to scans of another sensor than that of its training.
 
-This is the only place that fits a sensor to scans: its field of view, its mounting and its vehicle
-by their points, then the intensity, the gaps and the width of its range images.
+`view_fit` fits the field of view, the mounting and the vehicle by the points of the scans; this
+module fits the intensity, the gaps and the width of their range images then. Without a network,
+`view_fit` fits a sensor alone, and `field_of_view` fits the sequences of a training.
 """
 
 import logging
