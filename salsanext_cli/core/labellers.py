@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Labels of scans: by the CPU kernels, or on the device of a network in torch.
+"""Labels of scans: by the CPU kernels, or on the GPU that computes the network.
 
 This is the only place that chooses between both. A labeller works in three steps, which the job of
 `predict` takes on different threads; `label_scan` takes them in turn.
@@ -11,7 +11,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.backend import DeviceBackend, PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.label_request import LabelRequest
@@ -114,7 +114,7 @@ class KernelLabeller:
 
 
 def labeller_for(network: Network, request: LabelRequest) -> Labeller:
-    """Return what labels scans with a network: torch where it computes on a GPU, else kernels."""
+    """Return what labels scans with a network: the GPU that computes it, else the kernels."""
     if not computes_on_gpu(network):
         return KernelLabeller(network=network, request=request)
     # Only here, because other engines need no torch.
@@ -124,8 +124,8 @@ def labeller_for(network: Network, request: LabelRequest) -> Labeller:
 
 
 def computes_on_gpu(network: Network) -> bool:
-    """Return whether a network computes in torch on a GPU, which then labels the points too."""
-    return network.backend.library == "torch" and network.device != "cpu"
+    """Return whether a network computes from tensors on a GPU, which then labels the points too."""
+    return isinstance(network.backend, DeviceBackend) and network.device != "cpu"
 
 
 def label_scan(

@@ -4,7 +4,7 @@
 
 import ast
 import inspect
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import KnnParameters, Scan, knn_refine, load_network, project
 from salsanext_cli.core import labellers
-from salsanext_cli.core.engines.backend import PixelPrediction
+from salsanext_cli.core.engines.backend import PixelPrediction, device_backend
+from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.errors import FormatError, WeightsError
 from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import KernelLabeller, label_scan, labeller_for
@@ -90,3 +91,31 @@ def test_a_network_on_a_gpu_labels_the_points_there(network, monkeypatch):
     assert isinstance(labeller_for(network, request), KernelLabeller)
     on_gpu = replace(network, backend=replace(network.backend, device="cuda"))
     assert isinstance(labeller_for(on_gpu, request), DeviceLabeller)
+
+
+class OtherLibrary(TorchBackend):
+    """Another library that computes from tensors."""
+
+    library = "other"
+
+
+def test_any_library_with_tensors_on_a_gpu_labels_the_points_there(network, monkeypatch):
+    monkeypatch.setattr("salsanext_cli.core.engines.torch_backend.set_up_cuda", lambda: None)
+    scan = make_scan()
+    expected = label_scan(scan, network)
+    torch_backend = network.backend
+    values = {field.name: getattr(torch_backend, field.name) for field in fields(torch_backend)}
+    on_gpu = replace(network, backend=OtherLibrary(**{**values, "device": "cuda"}))
+    assert isinstance(labeller_for(on_gpu, LabelRequest()), DeviceLabeller)
+    on_cpu = DeviceLabeller(
+        network=replace(network, backend=OtherLibrary(**values)), request=LabelRequest()
+    )
+    prepared = on_cpu.prepare(scan)
+    (computed,) = on_cpu.compute([prepared])
+    np.testing.assert_array_equal(on_cpu.finish(prepared, computed).labels, expected.labels)
+
+
+def test_a_library_without_tensors_cannot_label_on_a_device(weights):
+    kernels = load_network(weights, "cpu", SMALL, engine="openvino")
+    with pytest.raises(TypeError, match="openvino"):
+        device_backend(kernels.backend)

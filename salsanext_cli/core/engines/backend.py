@@ -230,3 +230,53 @@ class Backend(ABC):
         """Return the error about weights whose results of a scan are not finite."""
         problem = f"the logits of {source} are not finite"
         return WeightsError(self.name, problem, hint="use other weights")
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceBackend(Backend):
+    """Backend whose device has the inputs and the results of the network, as tensors of torch.
+
+    Where it computes on a GPU, `core.on_device` labels the points there too.
+    """
+
+    @abstractmethod
+    def softmax(self, images: "Tensor", temperature: float) -> "Tensor":
+        """Return probabilities on the device, without waiting for them.
+
+        Parameters
+        ----------
+        images : (B, 5, H, W) float32
+            Inputs of the network on the device.
+        temperature : float
+            Divisor of the logits.
+
+        Returns
+        -------
+        (B, C, H, W) float32
+        """
+
+    @abstractmethod
+    def device_logits(self, images: "Tensor") -> "Tensor":
+        """Return the logits (B, C, H, W) float32 of inputs (B, 5, H, W) on the device."""
+
+
+def device_backend(backend: Backend) -> DeviceBackend:
+    """Return a backend as one that computes from tensors.
+
+    Parameters
+    ----------
+    backend : Backend
+        Backend of a network.
+
+    Returns
+    -------
+    DeviceBackend
+
+    Raises
+    ------
+    TypeError
+        If it computes from arrays only.
+    """
+    if not isinstance(backend, DeviceBackend):
+        raise TypeError(f"{backend.library} computes from no tensors on a device")
+    return backend

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.core.classes.merging import ClassMerging
-from salsanext_cli.core.engines.backend import LOGITS, Backend, PixelPrediction
+from salsanext_cli.core.engines.backend import LOGITS, DeviceBackend, PixelPrediction
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.engines.cuda_graphs import CudaGraphs
 from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS
@@ -50,7 +50,7 @@ def set_up_cuda() -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class TorchBackend(Backend):
+class TorchBackend(DeviceBackend):
     """Weights as a torch module. Results are reduced on the device and copied to the host once.
 
     Attributes

@@ -3,13 +3,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.backend import DeviceBackend, device_backend
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.engines.torch_backend import TorchBackend, merged
+from salsanext_cli.core.engines.torch_backend import merged
 from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labelling import LabelledScan, checked_scan
 from salsanext_cli.core.on_device.error_probability import error_probability
@@ -27,7 +27,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DeviceLabeller:
-    """Labels scans on the device of a network in torch; a `Labeller`.
+    """Labels scans on the device that computes the network; a `Labeller`.
 
     Attributes
     ----------
@@ -83,8 +83,8 @@ class DeviceLabeller:
         return [ScanOfBatch(batch=results, number=number) for number in range(len(scans))]
 
     @property
-    def _backend(self) -> TorchBackend:
-        return cast(TorchBackend, self.network.backend)
+    def _backend(self) -> DeviceBackend:
+        return device_backend(self.network.backend)
 
     def _softmax(self, images: RangeImages, sensors: Sequence[Sensor]) -> Tensor:
         """Return the softmax (B, C, H, W) of images, in the classes of the results."""

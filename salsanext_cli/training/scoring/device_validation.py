@@ -4,15 +4,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import cast
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from salsanext_cli.core.engines.backend import device_backend
 from salsanext_cli.core.engines.device_copies import HostCopies, device_numbers, pinned
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.on_device.host_points import HostPoints
@@ -118,7 +117,7 @@ class DeviceValidation:
 
         The host does not wait, so that the device has the next batch before this one is back.
         """
-        backend = cast(TorchBackend, self.network.backend)
+        backend = device_backend(self.network.backend)
         device = torch.device(self.network.device)
         sensors = [scan.sensor for scan in scans]
         batch = ScanBatch.on_device([scan.points for scan in scans], sensors, str(device))
