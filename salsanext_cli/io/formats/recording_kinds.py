@@ -2,7 +2,8 @@
 """Kinds of recordings of many scans: ROS bags, packets of sensors, and E57 files.
 
 A new kind is a row of `RECORDING_KINDS`, and a class with the methods of `Recording`. Its module is
-imported when a recording of this kind is opened.
+imported when a recording of this kind is opened. A recording is a file with one of its suffixes, or
+a folder in which its `files_in` finds files.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from salsanext_cli.core.errors import FormatError, NoInputError
+
 if TYPE_CHECKING:
-    from salsanext_cli.core.errors import NoInputError
     from salsanext_cli.core.poses import Poses
     from salsanext_cli.io.formats.columns import Columns
+
+METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 
 
 class Recording(Protocol):
@@ -60,6 +64,11 @@ class Recording(Protocol):
         """Return the poses (N, 4, 4) float64 of the N scans in metres; None without poses."""
 
 
+def no_files(folder: Path) -> Sequence[Path]:
+    """Return the files of a kind whose recordings are files, in any folder: none."""
+    return ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingKind:
     """Kind of recordings.
@@ -78,6 +87,8 @@ class RecordingKind:
         Whether the keys are times in nanoseconds; else they are numbers from 0.
     may_be_map : bool
         Whether map coordinates are moved into a local frame; else they are refused.
+    files_in : callable
+        Returns the files of a folder that is a recording of this kind; none for any other folder.
     """
 
     suffixes: tuple[str, ...]
@@ -86,6 +97,19 @@ class RecordingKind:
     key_digits: int = 19
     has_times: bool = True
     may_be_map: bool = False
+    files_in: Callable[[Path], Sequence[Path]] = no_files
+
+
+def _files_of_bag(folder: Path) -> Sequence[Path]:
+    """Return the files of a ROS 2 bag; compressed messages are messages too."""
+    from salsanext_cli.io.files.reading import present
+
+    metadata = folder / METADATA
+    if not present(metadata):
+        return ()
+    names = (path for path in folder.iterdir() if not path.name.startswith("."))
+    messages = sorted(path for path in names if {".mcap", ".db3"} & {*path.suffixes})
+    return [metadata, *messages] if messages else ()
 
 
 def _open_bag(path: Path, files: Sequence[Path]) -> Recording:
@@ -116,7 +140,12 @@ def _open_e57(path: Path, _: Sequence[Path]) -> Recording:
     return E57Recording(path)
 
 
-BAG = RecordingKind(suffixes=(".bag", ".mcap", ".db3"), noun="a ROS bag", open_files=_open_bag)
+BAG = RecordingKind(
+    suffixes=(".bag", ".mcap", ".db3"),
+    noun="a ROS bag",
+    open_files=_open_bag,
+    files_in=_files_of_bag,
+)
 CAPTURE = RecordingKind(
     suffixes=(".pcap",), noun="a capture of packets", open_files=_open_velodyne_or_ouster
 )
@@ -136,7 +165,19 @@ RECORDING_SUFFIXES = tuple(suffix for kind in RECORDING_KINDS for suffix in kind
 """Suffixes of recordings that are files."""
 
 
+def found_kind(path: Path) -> RecordingKind | None:
+    """Return the kind of a recording by its suffix or the files in it; None for other paths."""
+    from salsanext_cli.io.files.reading import is_folder
+
+    if is_folder(path):
+        return next((kind for kind in RECORDING_KINDS if kind.files_in(path)), None)
+    suffix = path.suffix.lower()
+    return next((kind for kind in RECORDING_KINDS if suffix in kind.suffixes), None)
+
+
 def kind_of(recording: Path) -> RecordingKind:
-    """Return the kind of a recording; a folder is a ROS 2 bag."""
-    suffix = recording.suffix.lower()
-    return next((kind for kind in RECORDING_KINDS if suffix in kind.suffixes), BAG)
+    """Return the kind of a recording; anything else raises `FormatError`."""
+    kind = found_kind(recording)
+    if kind is None:
+        raise FormatError(recording, "no such recording", "a recording or a scan in one")
+    return kind

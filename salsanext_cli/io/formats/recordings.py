@@ -23,33 +23,24 @@ from salsanext_cli.io.files.reading import identity, is_folder, present
 from salsanext_cli.io.formats.columns import scan_of
 from salsanext_cli.io.formats.recording_kinds import (
     BAG,
-    RECORDING_SUFFIXES,
     Recording,
     RecordingKind,
+    found_kind,
     kind_of,
 )
 
-METADATA = "metadata.yaml"  # In the folder of a ROS 2 bag, beside `.db3` or `.mcap` files
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
 MAX_SHOWN = 500  # Characters of a list of topics in an error
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a path is a file with the suffix of a recording, or a ROS 2 bag."""
-    if is_folder(path):
-        return present(path / METADATA) and bool(storages(path))
-    return path.suffix.lower() in RECORDING_SUFFIXES and present(path)
-
-
-def storages(folder: Path) -> list[Path]:
-    """Return the files with the messages of a ROS 2 bag, compressed ones included."""
-    names = (path for path in folder.iterdir() if not path.name.startswith("."))
-    return sorted(path for path in names if {".mcap", ".db3"} & {*path.suffixes})
+    """Return whether a path is a file with the suffix of a recording, or such a folder."""
+    return found_kind(path) is not None and present(path)
 
 
 def files_of(recording: Path) -> list[Path]:
     """Return the files of a recording."""
-    return [recording / METADATA, *storages(recording)] if is_folder(recording) else [recording]
+    return [*kind_of(recording).files_in(recording)] if is_folder(recording) else [recording]
 
 
 def recording_of(path: Path) -> Path | None:

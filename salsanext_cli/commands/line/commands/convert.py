@@ -9,12 +9,14 @@ from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import next_command
 from salsanext_cli.commands.line.output.progress import over_scans
 from salsanext_cli.commands.line.values.scans_and_out import in_topic
+from salsanext_cli.io.formats.recording_kinds import RECORDING_KINDS
+
+KINDS = ", ".join(f"{kind.noun} ({' '.join(kind.suffixes)})" for kind in RECORDING_KINDS)
 
 
 def convert(
     recording: Path = argument(
-        "ROS bag (.bag, .mcap, .db3, a folder), recording of Ouster or Velodyne (.pcap, .osf), or "
-        "E57 file.",
+        f"Recording of many scans: {KINDS}, or the folder of a ROS 2 bag.",
         default=...,
         metavar="RECORDING",
     ),

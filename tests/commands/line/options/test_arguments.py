@@ -20,7 +20,7 @@ from salsanext_cli.commands.line.values.typed_values import typed_share
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.io.formats import SCAN_SUFFIXES
-from salsanext_cli.io.formats.recording_kinds import RECORDING_SUFFIXES
+from salsanext_cli.io.formats.recording_kinds import RECORDING_KINDS, RECORDING_SUFFIXES
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -58,6 +58,13 @@ def test_help_lists_the_formats_of_scans_and_the_default_weights_have_a_name():
     assert {".bin", ".bag", ".osf"} <= {*listed}
     assert weights_file(Path("default")) == weights_file(None) == default_weights()
     assert weights_file(Path("a/default")) == Path("a/default")
+
+
+def test_help_lists_the_formats_of_recordings():
+    (recording,) = (p for p in parsed("convert").params if p.name == "recording")
+    listed = re.findall(r"(\.[a-z0-9]+)\b", recording.help)
+    assert sorted(listed) == sorted(RECORDING_SUFFIXES)
+    assert all(kind.noun in recording.help for kind in RECORDING_KINDS)
 
 
 def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, monkeypatch):
