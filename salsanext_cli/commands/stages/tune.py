@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from salsanext_cli.commands.jobs.risk_picture import risk_picture
 from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.engines.device import is_int8
 from salsanext_cli.core.errors import WeightsError
 from salsanext_cli.core.network.card import RiskThreshold, WeightsCard
 from salsanext_cli.core.network.tuned_settings import KEY_OF
@@ -322,8 +323,7 @@ def _without_thresholds_of_int8(card: WeightsCard) -> WeightsCard:
     """Return a card without thresholds chosen with int8, of any width: new ranges end them."""
 
     def is_of_int8(risk: RiskThreshold | None) -> bool:
-        # CPUs that compute int8 in another way have words after it: `number_type_of_labels`.
-        return risk is not None and str(risk.settings.get(KEY_OF["precision"])).startswith("int8")
+        return risk is not None and is_int8(risk.settings.get(KEY_OF["precision"]))
 
     if any(is_of_int8(parts.risk) for parts in (card.parts, *card.parts_of_widths.values())):
         log.log(NOTICE, "the threshold of `tune risk` is removed: it was chosen with other ranges")

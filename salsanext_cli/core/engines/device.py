@@ -168,6 +168,16 @@ def number_type_of_labels(precision: str) -> str:
     return precision if arithmetic == PLAIN_INT8 else f"{precision} with {arithmetic}"
 
 
+def is_int8(number_type: object) -> bool:
+    """Return whether a number type of `number_type_of_labels` is int8, on whatever CPU."""
+    return str(number_type).partition(" ")[0] == "int8"
+
+
+def arithmetic_in(number_type: str) -> str:
+    """Return how the CPU computed int8, by a number type of `number_type_of_labels`."""
+    return number_type.partition(" with ")[2] or PLAIN_INT8
+
+
 def processor() -> str:
     """Return a text that identifies the instructions available to compiled code."""
     return f"{platform.machine()} {sorted(processor_flags())} {_isa_limit()}"

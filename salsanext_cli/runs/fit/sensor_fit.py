@@ -221,7 +221,7 @@ def settings_of_network(network: Network, kind: type[Computed]) -> Computed:
         inherited="; ".join(inherited) or None,
         label_space=network.space,
         sensor=network.sensor.without_noise(),
-        precision=backend.precision,
+        precision=number_type_of_labels(backend.precision),
         engine=backend.library,
         trained_on="".join(sorted(card.trained_on)) or None,
     )

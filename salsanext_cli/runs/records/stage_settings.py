@@ -53,7 +53,7 @@ class WeightsSettings(StageSettings):
 class ComputedSettings(WeightsSettings):
     """Settings of results that a network computed in this run."""
 
-    precision: str | None = None  # Number type that computed
+    precision: str | None = None  # Number type that computed; of int8 also how the CPU computes it
     engine: str | None = None  # Library that computed
 
 

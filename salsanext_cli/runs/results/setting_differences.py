@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from salsanext_cli.core.classes.label_space import LabelSpace
+from salsanext_cli.core.engines.device import arithmetic_in, is_int8
 from salsanext_cli.core.texts import first_few, shortened
 from salsanext_cli.core.wording import argument, setting
 
@@ -74,6 +75,9 @@ def _difference(key: str, before: Any, after: Any) -> str:
     if key == "sensor.ego_box":
         change = f"the box of the vehicle was {_box_text(before)} and is {_box_text(after)}"
         return f"{change} ({argument('ego')})"
+    if key == "precision" and is_int8(before) and is_int8(after):
+        cpus = f"was computed with {arithmetic_in(before)}, and this CPU has {arithmetic_in(after)}"
+        return f"int8 {cpus} ({argument('precision')})"
     if key.startswith("origins."):
         return f"`{key.removeprefix('origins.')}` has replaced its results since"
     if isinstance(before, dict) and isinstance(after, dict):

@@ -14,12 +14,14 @@ from salsanext_cli.commands.stages.predict import predict_range_images, predict_
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.tune import tune_int8
 from salsanext_cli.commands.stages.uncertainty import uncertainty
+from salsanext_cli.core.engines.device import number_type_of_labels
 from salsanext_cli.core.errors import FormatError, OutputError, WeightsError
 from salsanext_cli.core.network.card import FittedParts, RiskThreshold
 from salsanext_cli.core.network.registry import ARCHITECTURES
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
+from salsanext_cli.runs.fit import sensor_fit
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.training.tuning.int8 import int8_layers
 
@@ -69,6 +71,7 @@ def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, netw
     int8 = replace(network, weights=target, precision="int8", fit=False)
     predicted = predict_scans(world.data, world.out, settings=int8, extras=("pixel_labels",))
     assert predicted.has_int8_ranges
+    assert Manifest(world.out).settings("predict").precision == number_type_of_labels("int8")
     seen = int8.load().sensor
     steps = world.out.with_name("steps")
     project_scans(world.data, steps, sensor=seen)
@@ -79,6 +82,20 @@ def test_steps_in_one_or_apart_agree_in_int8_and_differ_from_float32(world, netw
     pixels = [np.load(folder / name) for folder in (world.out, steps, world.out.with_name("f"))]
     assert np.array_equal(pixels[0], pixels[1])
     assert 0.5 < (pixels[0] == pixels[2]).mean() < 1
+
+
+def test_a_cpu_that_computes_int8_in_another_way_does_not_continue_a_run(
+    world, network, target, monkeypatch
+):
+    tune_int8(world.data, target, settings=network)
+    int8 = replace(network, weights=target, precision="int8", fit=False)
+    monkeypatch.setattr(sensor_fit, "number_type_of_labels", lambda name: f"{name} with AMX")
+    predict_scans(world.data, world.out, settings=int8)
+    assert predict_scans(world.data, world.out, settings=int8).done == 0
+    monkeypatch.undo()
+    record = Manifest(world.out).path("predict")
+    caught = refused(OutputError, record, predict_scans, world.data, world.out, settings=int8)
+    assert "int8 was computed with AMX" in caught.value.problem
 
 
 def test_sampling_is_in_float32_and_needs_no_ranges(world, network):
