@@ -129,6 +129,9 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "drive_labels.py": "commands/stages/test_fuse.py",
         "io/labelling_tools/tool.py": "io/labelling_tools/test_registry.py",
         "runs/fit/mixed_sensors.py": "runs/summary/test_scan_summary.py",
+        "runs/loop/cluster/calls.py": "runs/loop/cluster/test_driver.py",
+        "runs/loop/cluster/crew.py": "runs/loop/cluster/test_driver.py",
+        "runs/loop/cluster/losses.py": "runs/loop/cluster/test_driver.py",
         "runs/summary/scan_warnings.py": "runs/summary/test_scan_summary.py",
     },
     RECORD: {

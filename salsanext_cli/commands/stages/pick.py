@@ -43,7 +43,7 @@ from salsanext_cli.runs.labelling.picked_data_set import (
 from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
 from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
 from salsanext_cli.runs.loop.event_file import opened_events
-from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.network_task import NetworkTask, sampling_task
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfSource
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -154,13 +154,13 @@ def pick(
         origins = by_poses.scan_origins(scans, network.sensor)
         if record is None:
             describe = partial(DescribeJob, samples=SAMPLES, seed=seed, origins=origins)
-            task = NetworkTask(job=describe, settings=resolved, network=network, batch=1)
+            task = sampling_task(describe, resolved, network)
             record = _chosen(task, network, scans, recorded, done, options)
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
         write = partial(PickJob, seed=seed, samples=SAMPLES, data_set=data_set, origins=origins)
-        task = NetworkTask(job=write, settings=resolved, network=network, batch=1)
+        task = sampling_task(write, resolved, network)
         space = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, space)
         _add_files_of_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)

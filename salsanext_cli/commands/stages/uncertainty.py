@@ -23,7 +23,8 @@ from salsanext_cli.runs.fit.sensor_fit import (
     resolved_for,
     settings_of_network,
 )
-from salsanext_cli.runs.loop.network_task import NetworkTask
+from salsanext_cli.runs.loop.job_memory import FILTERED, SAMPLES
+from salsanext_cli.runs.loop.network_task import sampling_task
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
@@ -106,7 +107,8 @@ def uncertainty(
         resolved = resolved_for(settings, network, scans)
         if not is_unreadable(scans, network):
             log.log(NOTICE, "each scan takes %s", method.passes_text)
-        task = NetworkTask(job=job, settings=resolved, network=network, batch=1)
+        memory = FILTERED if method.aleatoric == "paper" else SAMPLES
+        task = sampling_task(job, resolved, network, memory)
         return run_over_scans(
             task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )

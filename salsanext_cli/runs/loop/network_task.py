@@ -17,7 +17,9 @@ from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.engines.device import MAX_BATCH_PIXELS, choose_device
 from salsanext_cli.core.engines.network import Network
+from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.loop.job import Computed, Prepared, ScanJob
+from salsanext_cli.runs.loop.job_memory import LABELS, SAMPLES, JobMemory
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.network_settings import NetworkSettings
 
@@ -38,6 +40,7 @@ class NetworkTask:
     settings: NetworkSettings  # Resolved: each worker loads the same network
     network: Network | None = field(default=None, compare=False)  # Of this process only
     batch: int | None = None  # Scans computed together; None for a number that suits the device
+    memory: JobMemory = LABELS  # Of a process with the job
 
     @property
     def max_chunk_scans(self) -> int:
@@ -46,14 +49,32 @@ class NetworkTask:
             return MAX_BATCH_SCANS
         return CHUNK_BATCHES * (self.batch or MAX_BATCH_SCANS)
 
+    @property
+    def worker_memory(self) -> int:
+        """Estimated memory of a worker in bytes, beside that of a GPU, which has its images."""
+        sensor = self.settings.sensor
+        pixels = sensor.height * sensor.width if isinstance(sensor, Sensor) else 0
+        images = (self.batch or 1) if self.settings.device == "cpu" else 1
+        return self.memory.estimate(images * pixels)
+
     def open(self) -> Pipeline[Any, Any, Any]:
         """Load the network, if this process has none."""
         network = self.network or _loaded(self.settings)
         return network_pipeline(self.job(network), network, self.batch)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        copy = partial(NetworkTask, job=self.job, settings=self.settings, batch=self.batch)
-        return copy, ()
+        names = ("job", "settings", "batch", "memory")
+        return partial(NetworkTask, **{name: getattr(self, name) for name in names}), ()
+
+
+def sampling_task(
+    job: Callable[[Network], ScanJob[Any, Any, Any]],
+    settings: NetworkSettings,
+    network: Network,
+    memory: JobMemory = SAMPLES,
+) -> NetworkTask:
+    """Return the task of a job that computes several passes of one scan after the other."""
+    return NetworkTask(job=job, settings=settings, network=network, batch=1, memory=memory)
 
 
 def network_pipeline(

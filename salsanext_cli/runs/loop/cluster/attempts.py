@@ -23,7 +23,7 @@ from salsanext_cli.core.engines.device import int8_arithmetic
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
-from salsanext_cli.core.texts import counted, shortened
+from salsanext_cli.core.texts import counted, first_few, shortened
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.chunk_queue import MAX_LOSSES, MAX_LOST_NODES, ChunkQueue
@@ -35,6 +35,8 @@ from salsanext_cli.runs.loop.cluster.messages import (
     FinishedChunk,
     FreePlaces,
     Joined,
+    LongChunk,
+    LongChunks,
     LostCluster,
     LostWorker,
     NotJoined,
@@ -45,6 +47,7 @@ from salsanext_cli.runs.loop.cluster.messages import (
 from salsanext_cli.runs.loop.cluster.node_requirements import node_requirements
 from salsanext_cli.runs.loop.cluster.work import Work
 from salsanext_cli.runs.loop.job import Attempt, OpenableTask, Task
+from salsanext_cli.runs.loop.job_memory import MIN_BYTES
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, WorkerProcess, chunks
 from salsanext_cli.runs.loop.run_folders import RunFolders
@@ -107,6 +110,7 @@ def attempts_of_cluster(
             work=pickle.dumps(work),
             required=required,
             scans=len(scans),
+            worker_memory=task.worker_memory if isinstance(task, NetworkTask) else MIN_BYTES,
             uses_gpu=has_gpu,
         )
         driver.send(assignment)
@@ -208,7 +212,9 @@ def _joined(driver: DriverProcess, messages: Iterator[Any], address: str) -> Joi
     """Return the answer of the driver, or raise why it could not join the cluster."""
     subject = wording.setting("cluster", address)
     message = next(messages, None)
-    while isinstance(message, UnusableNode) and not message.ends_run:
+    while isinstance(message, Alive) or (
+        isinstance(message, UnusableNode) and not message.ends_run
+    ):
         _report(message, address)
         message = next(messages, None)
     match message:
@@ -239,6 +245,8 @@ def _attempts(
                 yield from unpacked(queue, message)
             case LostWorker():
                 yield from failed_attempts(queue, message)
+            case LongChunks(chunks=chunks):
+                log.log(NOTICE, "%s", long_chunks_line(queue, chunks))
             case _:
                 _report(message, address)
         while free_places and queue.is_waiting:
@@ -277,16 +285,33 @@ def failed_attempts(queue: ChunkQueue, lost: LostWorker) -> Iterator[Attempt[Any
     lost_part = "it cannot go on" if lost.is_node_lost else "a worker ended"
     log.warning("node %s: %s; other workers get its scans", lost.node, lost_part)
     deaths = counted(MAX_LOST_NODES, "node") if lost.is_node_lost else counted(MAX_LOSSES, "worker")
-    for number in reversed(lost.chunks):
-        scan = queue.lose(number, is_node_lost=lost.is_node_lost, node=lost.node)
+    # The first chunk was sent first, and is the next again.
+    failed = [queue.spare(number, lost.node) for number in reversed(lost.spared)]
+    failed += [
+        queue.lose(number, is_node_lost=lost.is_node_lost, node=lost.node)
+        for number in reversed(lost.chunks)
+    ]
+    for scan in failed:
         if scan is not None:
             hint = f"it may need more memory; try it alone with {wording.setting('jobs', 1)}"
             error = WorkersLost(scan.path, f"was alone on {deaths} that died", hint=hint)
             yield Attempt(file=scan, error=error)
 
 
+def long_chunks_line(queue: ChunkQueue, chunks: Sequence[LongChunk]) -> str:
+    """Return the line about chunks that take long: the first, and the number of others."""
+    first = chunks[0]
+    scans = first_few([scan.name for scan in queue.scans(first.number)])
+    worker = f"node {first.node}: process {first.process}"
+    others = f", {counted(len(chunks) - 1, 'other worker')} too" if len(chunks) > 1 else ""
+    return (
+        f"{worker} has worked for {first.seconds / 60:.0f} min on {scans}{others}; "
+        "if you end it, other workers get its scans"
+    )
+
+
 def _report(message: object, address: str) -> None:
-    """Log what the driver says of the nodes; raise what ends the run."""
+    """Log a message of the driver about the cluster, or raise the error that ends the run."""
     subject = wording.setting("cluster", address)
     match message:
         case Alive():

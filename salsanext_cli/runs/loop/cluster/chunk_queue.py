@@ -13,6 +13,9 @@ MAX_LOSSES = 2
 """Lost workers that had only one scan after which that scan fails."""
 MAX_LOST_NODES = 3
 """Lost nodes whose worker had only one scan after which that scan fails."""
+MAX_SPARED = 3
+"""Lost workers that had not started a chunk after which it is charged with each further one: it may
+end its worker before the confirmation of its start arrives."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +40,8 @@ class SentChunk:
         Name of the node on which it was last lost or had an unexpected exception.
     has_bug : bool
         Whether it has had an unexpected exception.
+    spared : int
+        Number of workers that were lost before they started this chunk.
     """
 
     number: int
@@ -47,6 +52,7 @@ class SentChunk:
     owns_node: bool = False
     lost_on: str = ""
     has_bug: bool = False
+    spared: int = 0
 
 
 class ChunkQueue:
@@ -78,6 +84,10 @@ class ChunkQueue:
         self._sent[chunk.number] = chunk
         return chunk
 
+    def scans(self, number: int) -> Chunk:
+        """Return the scans of a chunk that was sent."""
+        return self._sent[number].scans
+
     def finish(self, number: int) -> None:
         """Forget a chunk that was attempted."""
         del self._sent[number]
@@ -93,6 +103,18 @@ class ChunkQueue:
         again = replace(chunk, is_alone=True, lost_on=node, has_bug=True)
         self._waiting.appendleft(again)
         return True
+
+    def spare(self, number: int, node: str) -> ScanFile | None:
+        """Let a chunk wait again as it is, whose worker was lost before it started it.
+
+        Parameters and result are those of `lose`.
+        """
+        chunk = self._sent[number]
+        if chunk.spared >= MAX_SPARED:
+            return self.lose(number, node=node)
+        del self._sent[number]
+        self._waiting.appendleft(replace(chunk, spared=chunk.spared + 1, lost_on=node))
+        return None
 
     def lose(self, number: int, *, is_node_lost: bool = False, node: str = "") -> ScanFile | None:
         """Let a chunk of a lost worker wait again: alone, and after a second loss in scans.

@@ -16,13 +16,15 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
-from salsanext_cli.runs.loop.cluster.driver import Calls, Driver, Send
+from salsanext_cli.runs.loop.cluster.calls import Calls
+from salsanext_cli.runs.loop.cluster.driver import Driver
 from salsanext_cli.runs.loop.cluster.error_lines import first_line, one_line
 from salsanext_cli.runs.loop.cluster.messages import (
     Assignment,
     Crash,
     LostCluster,
     NotJoined,
+    Send,
     messages_from,
 )
 

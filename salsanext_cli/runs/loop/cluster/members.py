@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Records of the driver about its workers, and about those that were lost."""
+"""Record of the driver about a worker, and the choice of one for a chunk alone."""
 
-from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from salsanext_cli.runs.loop.cluster.messages import PackedChunk
-from salsanext_cli.runs.loop.cluster.node_code import NodeProblem
 from salsanext_cli.runs.loop.run_options import CHUNKS_IN_FLIGHT
+
+
+@dataclass(slots=True, kw_only=True)
+class StartedChunk:
+    """Chunk whose start its worker has confirmed."""
+
+    since: float  # Time of the confirmation
+    process: int  # Id of the process on its node
+    is_reported: bool = False  # Whether the user knows that it takes long
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -21,6 +28,7 @@ class Member:
     located_at: float = 0.0  # Time at which it has started
     is_open: bool = False  # Whether it has opened the task
     chunks: list[int] = field(default_factory=list)  # Numbers
+    started: dict[int, StartedChunk] = field(default_factory=dict)  # Of these, by number
     is_taken: bool = False  # Whether it gets no other chunk beside the one that it has
     owns_node: bool = False  # Whether no other worker of its node gets a chunk alone
 
@@ -28,46 +36,6 @@ class Member:
     def places(self) -> int:
         """Number of further chunks that it can take."""
         return CHUNKS_IN_FLIGHT - len(self.chunks) if self.is_open and not self.is_taken else 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SuspectedLoss:
-    """Loss of a worker with a chunk that was sent alone, until it is known whether its node lives.
-
-    Attributes
-    ----------
-    node : str
-        Id of the node.
-    chunks : tuple of int
-        Numbers of the chunks of the worker.
-    answer : Future
-        Check of the node, which fails if the node is lost.
-    end : float
-        Time at which a node without an answer counts as lost.
-    """
-
-    node: str
-    chunks: tuple[int, ...]
-    answer: "Future[NodeProblem | None]"
-    end: float
-
-    def is_node_lost(self, cluster: Any, listed: Collection[str]) -> bool:
-        """Return whether the node is lost.
-
-        A check has an answer, even a bad one, if it lives. It may also fail for a lack of memory.
-
-        Parameters
-        ----------
-        cluster : module
-            `ray_cluster`, or what stands for it.
-        listed : collection of str
-            Ids of the live nodes, as Ray lists them.
-        """
-        error = self.answer.exception() if self.answer.done() else None
-        if isinstance(error, cluster.NODE_ERRORS):
-            return True
-        has_answer = self.answer.done() and error is None
-        return not has_answer and self.node not in listed
 
 
 def idle_member(

@@ -6,11 +6,14 @@ within them, so that the driver passes them on without reading them.
 """
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
 from salsanext_cli.runs.loop.cluster.node_code import NodeRequirements
+
+Send = Callable[[object], None]
+"""Function of the driver that sends a message to the main process."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +30,8 @@ class Assignment:
         What each node needs.
     scans : int
         Number of scans, the upper bound of that of workers.
+    worker_memory : int
+        Memory of a worker in bytes.
     uses_gpu : bool
         Whether each worker gets a GPU.
     """
@@ -35,6 +40,7 @@ class Assignment:
     work: bytes
     required: NodeRequirements
     scans: int
+    worker_memory: int
     uses_gpu: bool = False
 
 
@@ -128,14 +134,34 @@ class LostWorker:
     node : str
         Name of its node.
     chunks : tuple of int
-        Numbers of its chunks. It may have attempted any of them.
+        Numbers of the chunks that it had started, and that may have ended it.
+    spared : tuple of int
+        Numbers of its other chunks. If its node lacks something, no chunk has ended it.
     is_node_lost : bool
         Whether its node is lost or lacks something, which is found out if it had a chunk alone.
     """
 
     node: str
-    chunks: tuple[int, ...]
+    chunks: tuple[int, ...] = ()
+    spared: tuple[int, ...] = ()
     is_node_lost: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongChunk:
+    """Chunk that a worker has had for long."""
+
+    number: int
+    node: str  # Name of the node
+    process: int  # Id of the process on the node
+    seconds: float  # Time since its start
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongChunks:
+    """Chunks that take long since the last such message."""
+
+    chunks: tuple[LongChunk, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -78,12 +78,15 @@ class NodeRequirements:
         Folders of results.
     int8_arithmetic : str
         How the CPU of the main process computes int8; empty for other number types.
+    modules : frozenset of str
+        Names of the modules of packages that are installed where the main process is.
     """
 
     versions: dict[str, str]
     files: tuple[ReadableFile, ...] = ()
     folders: tuple[SharedFolder, ...] = ()
     int8_arithmetic: str = ""
+    modules: frozenset[str] = frozenset()
 
 
 def installed_versions(libraries: Iterable[str]) -> dict[str, str]:
@@ -104,6 +107,9 @@ def node_problem(required: NodeRequirements) -> NodeProblem | None:
     """Return what this node lacks; None if it lacks nothing."""
     libraries = [name for name in required.versions if name != PACKAGE]
     text = version_problem(required.versions, installed_versions(libraries))
+    if text:
+        return NodeProblem(text=text, hint=VERSIONS_HINT)
+    text = plug_in_problem(required.versions)
     if text:
         return NodeProblem(text=text, hint=VERSIONS_HINT)
     text = arithmetic_problem(required.int8_arithmetic)
@@ -131,6 +137,14 @@ def version_problem(required: dict[str, str], installed: dict[str, str]) -> str:
     return ""
 
 
+def plug_in_problem(required: dict[str, str]) -> str:
+    """Return which plug-ins the main process lacks, in words; `required`: versions by name."""
+    from salsanext_cli.core.plug_ins import plug_in_packages
+
+    surplus = [name for name in plug_in_packages() if name not in required]
+    return f"has the plug-ins of {surplus[0]}, which is missing here" if surplus else ""
+
+
 def arithmetic_problem(required: str) -> str:
     """Return in which other way the CPU of this node computes int8, in words."""
     if not required:
@@ -138,7 +152,16 @@ def arithmetic_problem(required: str) -> str:
     from salsanext_cli.core.engines.device import int8_arithmetic
 
     actual = int8_arithmetic()
-    return "" if actual == required else f"computes int8 with {actual}, not {required} as here"
+    return "" if actual == required else f"computes int8 with {actual} instead of {required}"
+
+
+def missing_module(error: BaseException | None) -> str:
+    """Return the package that was not found, if that is a cause of an error; else an empty text."""
+    while error is not None:
+        if isinstance(error, ModuleNotFoundError) and error.name:
+            return error.name.partition(".")[0]
+        error = error.__cause__
+    return ""
 
 
 def reading_problem(file: ReadableFile) -> str:
@@ -209,6 +232,10 @@ class NodeWorker:
 
         return str(ray.get_runtime_context().get_node_id())
 
+    def process(self) -> int:
+        """Return the id of this process, after all earlier calls: the next chunk starts."""
+        return os.getpid()
+
     def open(self, required: NodeRequirements) -> NodeProblem | None:
         """Open the task; return why this node cannot, or None."""
         problem = node_problem(required)
@@ -245,15 +272,25 @@ class NodeWorker:
         try:
             chunk = pickle.loads(scans)  # noqa: S301 - of the driver of this worker
             attempted = self.work.attempt(chunk, number)
-            if self.required and any(attempt.error for attempt in attempted.attempts):
-                problem = node_problem(self.required)
-                if problem:
-                    return problem
+            errors = [attempt.error for attempt in attempted.attempts if attempt.error]
+            problem = self.fault_of_node(errors)
+            if problem:
+                return problem
             return pickle.dumps(attempted)
         except SystemExit:
             os._exit(1)  # noqa: TID251
         except Exception as error:  # noqa: BLE001 - the main process raises it
             return Bug.packed(error, traceback.format_exc())
+
+    def fault_of_node(self, errors: list[Any]) -> NodeProblem | None:
+        """Return what this node lacks after errors of scans, which it may have caused."""
+        if not (self.required and errors):
+            return None
+        for module in map(missing_module, errors):
+            if module in self.required.modules:
+                text = f"lacks {module}, which is installed here"
+                return NodeProblem(text=text, hint=VERSIONS_HINT)
+        return node_problem(self.required)
 
     def require_run(self) -> None:
         """Raise `SystemExit` if the main process has removed a probe, which ends the run."""

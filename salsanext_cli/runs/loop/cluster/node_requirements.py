@@ -8,6 +8,7 @@ import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from uuid import uuid4
 
@@ -45,7 +46,7 @@ def node_requirements(
     Yields
     ------
     NodeRequirements
-        Versions, the first scan, the folders, and how int8 is computed.
+        Versions, modules, the first scan, the folders, and how int8 is computed.
     """
     written = {existing(folder) for folder in folders.writes}
     read = {existing(folder) for folder in folders.reads}
@@ -63,6 +64,7 @@ def node_requirements(
             files=(_readable(existing(scans[0].path)),),
             folders=tuple(shared),
             int8_arithmetic=arithmetic,
+            modules=frozenset(packages_distributions()),
         )
 
 

@@ -18,7 +18,7 @@ from salsanext_cli.runs.loop.cluster.node_code import (
     NodeWorker,
     node_problem,
 )
-from salsanext_cli.runs.loop.cluster.worker_size import WORKER_MEMORY_BYTES, Node, WorkerSize
+from salsanext_cli.runs.loop.cluster.worker_size import Node, WorkerSize
 
 NODE_LABEL = "ray.io/node-id"
 LOSS_ERRORS = (ray.exceptions.RayError,)
@@ -67,7 +67,7 @@ def start_worker(size: WorkerSize, work: bytes, without: set[str]) -> Any:
     options: dict[str, Any] = {
         "num_cpus": size.cores,
         "num_gpus": size.gpus,
-        "memory": WORKER_MEMORY_BYTES,
+        "memory": size.memory,
         "max_restarts": 0,
         "max_task_retries": 0,
         "scheduling_strategy": "SPREAD",

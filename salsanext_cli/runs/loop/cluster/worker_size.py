@@ -13,8 +13,6 @@ MAX_CORES_PER_GPU = 8
 MIN_SHARE = 0.75
 """Share of the GPUs, or else of the cores, of a cluster that its workers use: small nodes do not
 make all workers small."""
-WORKER_MEMORY_BYTES = 1_000_000_000
-"""Memory that Ray reserves for a worker; it needs about 0.6 GB at the default width."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,10 +32,14 @@ class WorkerSize:
 
     cores: int
     gpus: int
+    memory: int  # Bytes that Ray reserves
 
     @classmethod
-    def fitting(cls, nodes: Sequence[Node], *, uses_gpu: bool) -> "WorkerSize":
-        """Return the largest size that uses most GPUs, or else most cores, of the nodes."""
+    def fitting(cls, nodes: Sequence[Node], *, uses_gpu: bool, memory: int) -> "WorkerSize":
+        """Return the largest size that uses most GPUs, or else most cores, of the nodes.
+
+        `memory`: of a worker, in bytes.
+        """
         if uses_gpu:
             enough = MIN_SHARE * sum(node.gpus for node in nodes)
             sizes = range(MAX_CORES_PER_GPU, 1, -1)
@@ -46,20 +48,20 @@ class WorkerSize:
                 for size in sizes
                 if sum(min(node.gpus, node.cores // size) for node in nodes) >= enough
             )
-            return cls(cores=next(fitting, 1), gpus=1)
+            return cls(cores=next(fitting, 1), gpus=1, memory=memory)
         enough = MIN_SHARE * sum(node.cores for node in nodes)
         sizes = range(MAX_CORES_PER_WORKER, 0, -1)
         cores = next(
             size for size in sizes if sum(node.cores // size * size for node in nodes) >= enough
         )
-        return cls(cores=cores, gpus=0)
+        return cls(cores=cores, gpus=0, memory=memory)
 
     def __str__(self) -> str:
         gpu = "a GPU, " if self.gpus else ""
-        memory = f"{WORKER_MEMORY_BYTES / 1e9:.0f} GB of memory"
+        memory = f"{self.memory / 1e9:.1f} GB of memory"
         return f"{gpu}{counted(self.cores, 'core')} and {memory}"
 
     def places(self, node: Node) -> int:
         """Return the number of workers that a node has room for."""
-        places = min(node.cores // self.cores, node.memory // WORKER_MEMORY_BYTES)
+        places = min(node.cores // self.cores, node.memory // self.memory)
         return min(places, node.gpus) if self.gpus else places

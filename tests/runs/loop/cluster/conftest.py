@@ -16,13 +16,14 @@ from salsanext_cli.runs.loop.cluster.worker_size import MAX_CORES_PER_WORKER
 
 MAX_STARTS = 3
 MAX_TEST_S = 300.0  # With the start of a cluster, on a machine with much other work
+REAL_CLUSTERS = frozenset({"cluster", "cluster_of_one", "two_nodes"})  # Fixtures
 TESTS = Path(__file__).parents[3]
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
     """Let a test on a real cluster fail that takes too long, its fixtures included."""
-    if item.get_closest_marker("slow") is None:
+    if not REAL_CLUSTERS.intersection(getattr(item, "fixturenames", ())):
         return (yield)
     with time_limit(MAX_TEST_S):
         return (yield)
@@ -108,4 +109,12 @@ def extra_node(cluster: Any) -> Iterator[Any]:
 def cluster_of_one() -> Iterator[Any]:
     """Return a cluster of one node that the test may kill."""
     with cluster_of_head(1) as started:
+        yield started
+
+
+@pytest.fixture
+def two_nodes() -> Iterator[Any]:
+    """Return a cluster of two nodes with room for one small worker each."""
+    with cluster_of_head(1) as started:
+        node_started(lambda: started.add_node(num_cpus=1, include_log_monitor=False))
         yield started

@@ -18,9 +18,13 @@ from salsanext_cli.runs.loop.cluster import attempts, driver_process
 from salsanext_cli.runs.loop.cluster.bug import Bug
 from salsanext_cli.runs.loop.cluster.chunk_queue import ChunkQueue
 from salsanext_cli.runs.loop.cluster.messages import (
+    Alive,
     FinishedChunk,
     Joined,
+    LongChunk,
+    LongChunks,
     LostCluster,
+    LostWorker,
     UnusableNode,
 )
 from salsanext_cli.runs.loop.network_task import NetworkTask
@@ -147,9 +151,33 @@ def test_the_address_of_a_variable_is_checked_too(tmp_path, monkeypatch):
 
 def test_nodes_that_the_run_skips_come_before_the_others(caplog):
     skipped = UnusableNode(node="n", problem="did not answer within 60 s")
-    driver = Answers(skipped, Joined(nodes=1, workers=2))
+    driver = Answers(Alive(), skipped, Alive(), Joined(nodes=1, workers=2))
     assert attempts._joined(driver, driver.messages(), "auto").workers == 2
     assert "n did not answer" in caplog.text
+
+
+def test_a_worker_that_is_lost_is_charged_only_with_what_it_had_started(caplog):
+    queue = ChunkQueue([tuple(scans_of("a", "b")), tuple(scans_of("c"))])
+    started = queue.send()
+    waiting = queue.send()
+    lost = LostWorker(node="n", chunks=(started.number,), spared=(waiting.number,))
+    assert [*attempts.failed_attempts(queue, lost)] == []
+    again = [queue.send(), queue.send()]
+    assert [chunk.scans for chunk in again] == [started.scans, waiting.scans]
+    assert [chunk.is_alone for chunk in again] == [True, False]
+    assert "a worker ended" in caplog.text
+
+
+def test_a_chunk_that_takes_long_is_one_line_that_names_the_process_and_the_scans(caplog):
+    caplog.set_level(NOTICE)
+    queue = ChunkQueue([tuple(scans_of("a", "b"))])
+    chunk = LongChunk(number=queue.send().number, node="n", process=4711, seconds=960.0)
+    driver = Answers(LongChunks(chunks=(chunk, chunk, chunk)), LostCluster(problem="gone"))
+    with pytest.raises(WorkersLost):
+        next(attempts._attempts(driver, driver.messages(), queue, "auto"))
+    (line,) = [record.getMessage() for record in caplog.records]
+    for words in ("node n", "process 4711", "16 min", "s/a, s/b", "2 other workers"):
+        assert words in line
 
 
 def test_what_all_nodes_lack_is_named():

@@ -7,7 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numbered_scans import scans_of
 
-from salsanext_cli.runs.loop.cluster.chunk_queue import MAX_LOSSES, MAX_LOST_NODES, ChunkQueue
+from salsanext_cli.runs.loop.cluster.chunk_queue import (
+    MAX_LOSSES,
+    MAX_LOST_NODES,
+    MAX_SPARED,
+    ChunkQueue,
+)
 from salsanext_cli.runs.loop.pool import chunks
 
 SCANS = scans_of(("00", number) for number in range(12))
@@ -82,11 +87,29 @@ def test_a_scan_that_brings_its_nodes_down_fails():
     assert set(failed[:-1]) == {None}
 
 
+def test_a_chunk_that_was_not_started_waits_again_as_it_is():
+    queue = ChunkQueue([tuple(SCANS[:2]), tuple(SCANS[2:])])
+    for _ in range(MAX_SPARED):
+        chunk = queue.send()
+        assert (chunk.scans, chunk.is_alone) == (tuple(SCANS[:2]), False)
+        assert queue.scans(chunk.number) == chunk.scans
+        assert queue.spare(chunk.number, "a") is None
+
+
+def test_a_scan_that_ends_its_worker_before_that_confirms_the_start_fails_at_last():
+    queue = ChunkQueue([tuple(SCANS[:1])])
+    failed = []
+    while queue:
+        failed.append(queue.spare(queue.send().number, "a"))
+    # The first loss that counts lets it be alone.
+    assert failed == [None] * (MAX_SPARED + MAX_LOSSES) + [SCANS[0]]
+
+
 @given(st.sets(st.sampled_from(SCANS)), st.integers(1, 5), st.randoms(use_true_random=False))
 def test_exactly_the_deadly_scans_fail(deadly, size, draw):
     """Workers have two chunks unless one is alone. Some die without a reason, with no chunk alone.
 
-    A worker that dies has lost both chunks, also one that it had attempted.
+    A worker that dies has finished the first and started the second, or has not.
     """
     queue = ChunkQueue(chunks(SCANS, 1, size))
     done, failed, accidents = [], [], 3
@@ -96,8 +119,17 @@ def test_exactly_the_deadly_scans_fail(deadly, size, draw):
             held.append(queue.send())
         is_accident = accidents > 0 and not held[0].is_alone and draw.random() < 0.3
         accidents -= is_accident
-        if is_accident or any(deadly.intersection(chunk.scans) for chunk in held):
-            failed += filter(None, [queue.lose(chunk.number) for chunk in reversed(held)])
+        deaths = [index for index, chunk in enumerate(held) if deadly.intersection(chunk.scans)]
+        if is_accident:
+            deaths.append(draw.randrange(len(held)))
+        if deaths:
+            last = min(deaths)
+            for chunk in reversed(held[last + 1 :]):
+                assert queue.spare(chunk.number, "a") is None
+            failed += filter(None, [queue.lose(held[last].number)])
+            for chunk in held[:last]:
+                queue.finish(chunk.number)
+                done += chunk.scans
         else:
             for chunk in held:
                 queue.finish(chunk.number)

@@ -3,17 +3,24 @@
 
 from collections import deque
 from concurrent.futures import Future
+from itertools import takewhile
 from queue import SimpleQueue
 
 import pytest
 
+from salsanext_cli.runs.loop.cluster import crew as crew_module
 from salsanext_cli.runs.loop.cluster import driver as driver_module
-from salsanext_cli.runs.loop.cluster.driver import MAX_FAILED_STARTS, MAX_LOSSES_OF_NODE, Driver
+from salsanext_cli.runs.loop.cluster import nodes as nodes_module
+from salsanext_cli.runs.loop.cluster.crew import MAX_FAILED_STARTS
+from salsanext_cli.runs.loop.cluster.driver import LONG_CHUNK_S, MAX_LOSSES_OF_NODE, Driver
 from salsanext_cli.runs.loop.cluster.messages import (
+    Alive,
     Assignment,
     FinishedChunk,
     FreePlaces,
     Joined,
+    LongChunk,
+    LongChunks,
     LostWorker,
     PackedChunk,
     UnusableNode,
@@ -24,6 +31,7 @@ from salsanext_cli.runs.loop.cluster.worker_size import Node
 
 REQUIRED = NodeRequirements(versions={})
 GIB = 2**30
+PROCESS = 4711
 LACK = NodeProblem(text="cannot read /a", hint="mount it")
 NO_WEIGHTS = NodeProblem(text="cannot begin: no weights")
 
@@ -96,7 +104,9 @@ class Room:
         self.cluster = CountingCluster(*cores)
         self.sent = []
         self.calls = SimpleQueue()
-        assignment = Assignment(address="auto", work=b"work", required=REQUIRED, scans=scans)
+        assignment = Assignment(
+            address="auto", work=b"work", required=REQUIRED, scans=scans, worker_memory=GIB
+        )
         self.driver = Driver(self.cluster, assignment, self.sent.append, self.calls)
 
     def start(self, *nodes):
@@ -107,8 +117,13 @@ class Room:
             self.answer("open", None)
 
     def answer(self, method, result, worker=None):
-        """End the first call of a method, by its result or by an error."""
+        """End the first call of a method, by its result or by an error.
+
+        A worker that answers for a chunk has confirmed its start before.
+        """
         call = next(c for c in self.cluster.pending if c[0] == method and worker in (None, c[1]))
+        while method == "attempt" and self.confirms(call):
+            self.answer("process", PROCESS, call[1])
         self.cluster.pending.remove(call)
         if isinstance(result, Exception):
             call[3].set_exception(result)
@@ -116,6 +131,11 @@ class Room:
             call[3].set_result(result)
         self.make_calls()
         return call[1]
+
+    def confirms(self, call):
+        """Return whether a confirmation of the same worker comes before a call."""
+        earlier = takewhile(lambda other: other is not call, self.cluster.pending)
+        return any(other[:2] == ("process", call[1]) for other in earlier)
 
     def make_calls(self):
         while not self.calls.empty():
@@ -158,7 +178,7 @@ def test_a_check_that_raises_is_a_problem_of_its_node_and_a_node_that_went_is_no
 
 
 def test_a_node_that_does_not_answer_is_skipped(monkeypatch):
-    monkeypatch.setattr(driver_module, "CHECK_TIMEOUT_S", 0.0)
+    monkeypatch.setattr(nodes_module, "CHECK_TIMEOUT_S", 0.0)
     room = Room(4, 4)
     check = room.cluster.check
     room.cluster.check = lambda node, required: Future() if node == "id0" else check(node, required)
@@ -166,7 +186,7 @@ def test_a_node_that_does_not_answer_is_skipped(monkeypatch):
     assert room.sent_of(UnusableNode)[0].node == "node0"
     assert room.sent[-1] == Joined(nodes=1, workers=1)
     room.cluster.check = lambda node, required: Future()
-    room.driver.unusable.clear()
+    room.driver.nodes.unusable.clear()
     assert not room.driver.begin()
     assert [message.ends_run for message in room.sent_of(UnusableNode)] == [False, False, True]
 
@@ -207,7 +227,7 @@ def test_the_chunks_of_a_lost_worker_are_named_and_another_one_starts():
     room.take(1, 2, 3, 4)
     started = room.cluster.started
     room.answer("attempt", LossError(), worker=1)
-    assert room.sent[-1] == LostWorker(node="node0", chunks=(1, 3))
+    assert room.sent[-1] == LostWorker(node="node0", chunks=(1,), spared=(3,))
     assert 1 in room.cluster.ended
     assert room.cluster.started == started + 1
     # The call of the second chunk fails too.
@@ -316,9 +336,9 @@ def test_a_node_that_lacks_something_after_a_failure_is_left_out_with_its_chunks
     room.start("id0", "id1")
     room.take(1, 2, 3, 4)
     room.answer("attempt", LACK, worker=1)
-    assert room.sent_of(LostWorker) == [LostWorker(node="node0", chunks=(1, 3), is_node_lost=True)]
+    assert room.sent_of(LostWorker) == [LostWorker(node="node0", spared=(1, 3), is_node_lost=True)]
     assert room.sent[-1] == UnusableNode(node="node0", problem=LACK.text, hint=LACK.hint)
-    assert room.driver.unusable == {"id0"}
+    assert room.driver.nodes.unusable == {"id0"}
     room.answer("attempt", LACK, worker=2)
     assert room.sent[-1].ends_run
 
@@ -354,7 +374,7 @@ def test_workers_that_are_lost_with_their_node_while_they_start_are_no_fault(loc
         room.cluster.all = [node(number + 1, 4)]
         room.answer("open" if located else "node", LossError("killed"))
     assert not room.driver.is_closed
-    assert not room.driver.failed_starts
+    assert not room.driver.crew.failed_starts
 
 
 def test_a_worker_that_is_not_ready_in_time_is_replaced(monkeypatch):
@@ -456,7 +476,7 @@ def test_starts_that_fail_on_an_unknown_node_do_not_end_a_run_with_workers(monke
     # A worker that opens the task makes those before it forgotten.
     room.cluster.all = [node(0, 8)]
     room.start("id0")
-    assert not room.driver.failed_starts
+    assert not room.driver.crew.failed_starts
 
 
 def test_a_run_whose_last_node_goes_waits_for_the_next(monkeypatch):
@@ -472,7 +492,7 @@ def test_a_run_whose_last_node_goes_waits_for_the_next(monkeypatch):
     assert not room.driver.is_closed
     room.cluster.all = [*room.cluster.all, node(2, 4)]
     room.start("id2")
-    assert room.driver._open_members()
+    assert room.driver.crew.open_members()
 
 
 def test_workers_that_wait_for_room_get_the_size_of_the_first_node(monkeypatch):
@@ -504,7 +524,7 @@ def test_a_run_that_waits_longer_says_so(monkeypatch):
 
 def test_a_run_without_workers_says_that_it_waits(monkeypatch):
     monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
-    monkeypatch.setattr(driver_module, "WAITING_AFTER_S", 0.0)
+    monkeypatch.setattr(crew_module, "WAITING_AFTER_S", 0.0)
     room = Room()
     room.start()
     assert room.sent_of(Waiting)
@@ -513,3 +533,47 @@ def test_a_run_without_workers_says_that_it_waits(monkeypatch):
     count = len(room.sent_of(Waiting))
     room.start()
     assert len(room.sent_of(Waiting)) == count
+
+
+def test_a_worker_that_dies_before_it_starts_a_chunk_is_no_fault_of_the_chunk():
+    room = Room(4)
+    room.start("id0")
+    room.driver.take(PackedChunk(number=1, scans=b"scans", is_alone=True))
+    # The node does not answer, and need not.
+    room.cluster.check = lambda node, required: Future()
+    room.answer("process", LossError())
+    assert room.sent_of(LostWorker) == [LostWorker(node="node0", spared=(1,))]
+
+
+def test_a_chunk_that_takes_long_is_reported_once_with_its_process(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(driver_module.time, "monotonic", lambda: now[0])
+    room = Room(4, 4)
+    now[0] = 10.0
+    room.start("id0", "id1")
+    room.take(1, 2, 3, 4)
+    now[0] = 100.0
+    room.answer("process", PROCESS, worker=2)
+    # The other worker has started nothing; the second chunk of this one waits.
+    for now[0] in (LONG_CHUNK_S, LONG_CHUNK_S + 101.0, LONG_CHUNK_S + 200.0):
+        room.start()
+    seconds = LONG_CHUNK_S + 1.0
+    chunk = LongChunk(number=2, node="node1", process=PROCESS, seconds=seconds)
+    assert room.sent_of(LongChunks) == [LongChunks(chunks=(chunk,))]
+    # It is still its worker that attempts it.
+    room.answer("attempt", b"attempts", worker=2)
+    assert room.sent_of(FinishedChunk) == [
+        FinishedChunk(number=2, attempts=b"attempts", node="node1")
+    ]
+    assert not room.sent_of(LostWorker)
+
+
+def test_the_driver_is_alive_while_it_waits_for_the_checks_of_nodes(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(nodes_module.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(nodes_module, "wait", lambda _, seconds: now.append(now.pop() + seconds))
+    room = Room(4)
+    room.cluster.check = lambda node, required: Future()
+    assert not room.driver.begin()
+    assert len(room.sent_of(Alive)) == nodes_module.CHECK_TIMEOUT_S / nodes_module.NODE_INTERVAL_S
+    assert room.sent[-1].ends_run

@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 from works import Write, scans_of
 
-from salsanext_cli.core import wording
+from salsanext_cli.core import plug_ins, wording
 from salsanext_cli.core.engines import device
 from salsanext_cli.core.engines.registry import library_packages
-from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.errors import FormatError, MissingDependency
+from salsanext_cli.core.optional_packages import import_extra
+from salsanext_cli.core.plug_ins import plug_in_packages
 from salsanext_cli.io.files.atomic import GUARD, MARK
 from salsanext_cli.runs.loop.cluster import node_code
 from salsanext_cli.runs.loop.cluster.bug import Bug
@@ -25,6 +27,7 @@ from salsanext_cli.runs.loop.cluster.node_code import (
     ReadableFile,
     SharedFolder,
     installed_versions,
+    missing_module,
     node_problem,
     version_problem,
 )
@@ -39,7 +42,7 @@ def required(tmp_path):
     scan = tmp_path / "scan.bin"
     scan.write_bytes(b"1234")
     return NodeRequirements(
-        versions=installed_versions(library_packages()),
+        versions=installed_versions([*library_packages(), *plug_in_packages()]),
         files=(ReadableFile(path=str(scan), size=4), ReadableFile(path=str(tmp_path), size=None)),
         folders=(SharedFolder(path=str(tmp_path), is_written=True),),
     )
@@ -70,6 +73,14 @@ def test_another_version_is_named():
     assert version_problem(expected, dict(expected)) == ""
     for installed, words in (("1.0", "has salsanext 1.0"), ("", "lacks salsanext")):
         assert words in version_problem(expected, {**expected, "salsanext": installed})
+
+
+def test_plug_ins_that_only_a_node_has_are_named(required, monkeypatch):
+    here = plug_in_packages()
+    monkeypatch.setattr(plug_ins, "plug_in_packages", lambda: [*here, "radian-lidar"])
+    problem = node_problem(required)
+    assert "radian-lidar" in problem.text
+    assert problem.hint == node_code.VERSIONS_HINT
 
 
 def test_what_cannot_be_read_or_written_is_named(required, tmp_path):
@@ -159,6 +170,33 @@ def test_a_node_that_lacks_something_after_a_failure_attempts_nothing(worker, re
     Path(required.files[0].path).unlink()
     assert isinstance(made.attempt(1, pickle.dumps(tuple(scans_of("a")))), bytes)
     assert required.files[0].path in made.attempt(2, pickle.dumps(tuple(scans_of("bad")))).text
+
+
+class Needs:
+    """Work that needs a module of a package."""
+
+    def __init__(self, module):
+        self.module = module
+
+    def __call__(self, scan):
+        try:
+            import_extra(self.module, "las")
+        except MissingDependency as error:
+            raise MissingDependency(scan.path, f"needs {error.subject}") from error
+
+
+def test_a_package_that_only_a_node_lacks_is_no_fault_of_the_scan(worker, required):
+    made = worker(Needs("absent_package.reader"))
+    chunk = pickle.dumps(tuple(scans_of("a")))
+    assert made.open(required) is None
+    (attempt,) = pickle.loads(made.attempt(1, chunk)).attempts
+    assert isinstance(attempt.error, MissingDependency)
+    assert made.open(replace(required, modules=frozenset({"absent_package"}))) is None
+    problem = made.attempt(2, chunk)
+    assert "lacks absent_package" in problem.text
+    assert problem.hint == node_code.VERSIONS_HINT
+    assert missing_module(FormatError("a", "cut off")) == ""
+    assert made.process() == os.getpid()
 
 
 def test_a_worker_ends_before_it_names_a_file_after_the_run(

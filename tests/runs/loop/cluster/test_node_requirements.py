@@ -67,6 +67,12 @@ def test_nodes_need_the_plug_ins(scans, monkeypatch):
     assert "lacks radian-lidar" in node_problem(replace(required, versions=versions)).text
 
 
+def test_nodes_are_told_which_modules_there_are_here(scans):
+    with node_requirements(scans, RunFolders()) as required:
+        assert {"numpy", "torch", "typer"} <= required.modules
+        assert "absent_package" not in required.modules
+
+
 def test_files_of_other_runs_in_the_folder_may_change(tmp_path, scans):
     lock = tmp_path / ".lock"
     lock.write_bytes(b"")
