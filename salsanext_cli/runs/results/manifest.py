@@ -150,8 +150,27 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
     content = {RENAMED.get(key, key): value for key, value in content.items()}
     settings = content.get("settings")
     if isinstance(settings, dict):
-        content["settings"] = {RENAMED.get(key, key): value for key, value in settings.items()}
+        content["settings"] = _current_settings(settings)
     return record_of(StageRecord, content, path)
+
+
+def _current_settings(settings: Mapping[str, object]) -> dict[str, object]:
+    """Return the settings of a record as this version writes them.
+
+    Older versions recorded scales of values that did not vary, which have no extent.
+    """
+    current = {RENAMED.get(key, key): value for key, value in settings.items()}
+    scales = current.get("scales")
+    if isinstance(scales, dict):
+        current["scales"] = {
+            colour: ends for colour, ends in scales.items() if not _has_equal_ends(ends)
+        }
+    return current
+
+
+def _has_equal_ends(ends: object) -> bool:
+    """Return whether a recorded scale has no extent; not for what is no scale."""
+    return isinstance(ends, list) and len(ends) > 1 and ends[0] == ends[-1]
 
 
 @lru_cache(4 * len(RESULT_STAGES))

@@ -207,17 +207,23 @@ def test_a_scale_is_recorded_when_its_value_first_varies(tmp_path):
     intensities = {"without": 0 * points[:, 0], "low": points[:, 0] ** 2, "high": points[:, 1] ** 4}
     for name, intensity in intensities.items():
         write_scan(tmp_path / f"scans/{name}.bin", points, intensity)
-    outcomes = {
-        name: picture_scans(tmp_path / f"scans/{name}.bin", tmp_path / "out")
-        for name in intensities
-    }
+    record = tmp_path / "out/picture.json"
+    outcomes = {}
+    for name in intensities:
+        outcomes[name] = picture_scans(tmp_path / f"scans/{name}.bin", tmp_path / "out")
+        if name == "without":
+            # Older versions recorded a scale here.
+            height = '"height": ['
+            text = record.read_text()
+            assert height in text
+            record.write_text(text.replace(height, f'"intensity": [0, 0], {height}'))
     assert "intensity" not in outcomes["without"].scales
     assert outcomes["without"].ranges["intensity"] == (0, 0)
     ends = {name: np.percentile(values, (1, 99)) for name, values in intensities.items()}
     for name in ("low", "high"):
         assert outcomes[name].scales["intensity"] == pytest.approx(ends["low"], rel=1e-5)
         assert outcomes[name].ranges["intensity"] == pytest.approx(ends[name], rel=1e-5)
-    recorded = json.loads((tmp_path / "out/picture.json").read_text())["settings"]["scales"]
+    recorded = json.loads(record.read_text())["settings"]["scales"]
     assert recorded == {name: [*scale] for name, scale in outcomes["high"].scales.items()}
 
 

@@ -52,6 +52,21 @@ def test_records_of_older_versions_are_read(tmp_path: Path) -> None:
     assert Manifest(tmp_path).settings("predict") == TYPED
 
 
+def test_recorded_scales_without_extent_are_ignored(tmp_path: Path) -> None:
+    """Older versions recorded one of a value that did not vary, such as no intensity."""
+    scales = {"intensity": [0, 0], "height": [-2, 3]}
+    content = {"stage": "picture", "settings": {"scales": scales}}
+    (tmp_path / "picture.json").write_text(json.dumps(content))
+    assert Manifest(tmp_path).settings("picture").scales == {"height": (-2, 3)}
+    record = Manifest(tmp_path).record("picture")
+    assert record.has_settings({"scales": scales | {"intensity": [0.1, 0.9]}})
+    assert not record.has_settings({"scales": scales | {"height": [0, 1]}})
+    for scale in ([], [0], 0, "00"):
+        content["settings"]["scales"] = {"intensity": scale}
+        (tmp_path / "picture.json").write_text(json.dumps(content))
+        refused(OutputError, tmp_path / "picture.json", Manifest(tmp_path).settings, "picture")
+
+
 def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
     digest = "0" * 24
     predict(tmp_path, SETTINGS | {"trained_on": digest}, scans=scans_of(tmp_path, "a"))
