@@ -93,7 +93,7 @@ def export_las(
     settings = ExportLasSettings(
         label_space=chosen.space,
         origins=results.manifest.origins(PREDICTION_STAGES),
-        frames=digest_of_frames(results.scans()),
+        frames=digest_of_frames(chosen.listed),
     )
     earlier = results.manifest.settings(stage)
     is_outdated = isinstance(earlier, ExportLasSettings) and not earlier.is_of_inputs_of(settings)

@@ -150,6 +150,7 @@ def picture_scans(
     run = PictureRun(
         results=results,
         chosen=ChosenResults(
+            listed=listed,
             scans=scans,
             space=space,
             labels=space_of_labels(listed, space, query.label_space),

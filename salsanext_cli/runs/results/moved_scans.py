@@ -1,14 +1,31 @@
 # SPDX-License-Identifier: MIT
 """Scans of a sequence of results, whose folder may have been moved or renamed since."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.io.files.reading import present
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, scans_at_top, scans_of_sequences
 
 
-def scans_in(folder: Path, sequence: str) -> list[ScanFile]:
+def recorded_scans(folder: Path, sequence: str, suffixes: Mapping[str, str]) -> list[ScanFile]:
+    """Return the scans of a sequence in the folder that was recorded; none if it was moved.
+
+    `suffixes`: those of the recorded files by stem, empty for scans of a recording.
+    """
+    scans = _scans_in(folder, sequence)
+    listed = {scan.path.name for scan in scans}
+    # Tables beside clouds are scans only if they were named.
+    for stem, suffix in suffixes.items():
+        name = stem + suffix
+        if suffix and name not in listed and present(folder / name):
+            scans.append(ScanFile(sequence=sequence, stem=stem, path=folder / name))
+    return scans
+
+
+def _scans_in(folder: Path, sequence: str) -> list[ScanFile]:
     """Return the scans of a sequence in a folder, which in some layouts contains several."""
     try:
         scans = scans_at_top(folder)

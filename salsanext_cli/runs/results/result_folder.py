@@ -26,7 +26,7 @@ from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.making_commands import PREDICT_VOTES, making_hint
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
 from salsanext_cli.runs.results.merged_labels import are_in_merged_classes, hint_for_error
-from salsanext_cli.runs.results.moved_scans import scans_in, scans_of_renamed
+from salsanext_cli.runs.results.moved_scans import recorded_scans, scans_of_renamed
 from salsanext_cli.runs.results.paths import (
     PREDICTION_STAGES,
     SINGLE_SCAN_STAGES,
@@ -73,6 +73,7 @@ log = logging.getLogger(__name__)
 class ChosenResults:
     """Selected scans with and without results."""
 
+    listed: list[ScanFile]  # All scans to choose from
     scans: list[ScanFile]  # With labels or an uncertainty, at least one
     space: LabelSpace  # Classes of the labels
     labels: LabelSpace  # Meaning of the raw ids of the truth
@@ -156,7 +157,7 @@ class ResultFolder:
         """Find the scans of a sequence: those that were recorded, else those of the data set."""
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            scans = _recorded_scans(sequence, folder, source)
+            scans = recorded_scans(folder, sequence, source.suffixes)
             if scans:
                 return scans
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
@@ -190,7 +191,16 @@ class ResultFolder:
         classes: LabelSpace | None = None,
     ) -> tuple[list[ScanFile], LabelSpace]:
         """Select scans; return them and the classes of the comparison (see `compared_space`)."""
-        scans = self.scans()
+        return self._selected(self.scans(), selection, space, classes)
+
+    def _selected(
+        self,
+        scans: list[ScanFile],
+        selection: ScanSelection,
+        space: LabelSpace | None,
+        classes: LabelSpace | None,
+    ) -> tuple[list[ScanFile], LabelSpace]:
+        """Select some of the scans of the sequences with results, as `predicted`."""
         space = self.manifest.compared_space(scans, space, classes, other_ids=True)
         if selection.split:
             space = with_splits(space, data_set_of(scans[0]))
@@ -207,7 +217,8 @@ class ResultFolder:
         """Select scans with results of any stage; log how many lack them."""
         limit = query.selection.limit
         unlimited = replace(query.selection, limit=None)
-        chosen, space = self.predicted(unlimited, query.label_space, query.classes)
+        listed = self.scans()
+        chosen, space = self._selected(listed, unlimited, query.label_space, query.classes)
         self.manifest.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
@@ -219,7 +230,9 @@ class ResultFolder:
         missing = self.missing_results(set(chosen) - set(scans))
         missing.log_error(len(chosen), "results")
         labels = space_of_labels(scans, space, query.label_space)
-        return ChosenResults(scans=scans, space=space, labels=labels, missing=missing)
+        return ChosenResults(
+            listed=listed, scans=scans, space=space, labels=labels, missing=missing
+        )
 
     def provenance(self, selection: ScanSelection) -> dict[str, object]:
         """Return the selection and the settings of its predictions, as plain data."""
@@ -385,15 +398,3 @@ def _missing(
 
     missing = tuple(scan for scan in listed if was_requested(scan))
     return MissingResults(scans=missing, not_asked_for=len(listed) - len(missing))
-
-
-def _recorded_scans(sequence: str, folder: Path, source: ScanSource) -> list[ScanFile]:
-    """Find the scans of a sequence in the folder that was recorded."""
-    scans = scans_in(folder, sequence)
-    listed = {scan.path.name for scan in scans}
-    # Tables beside clouds are scans only if they were named.
-    for stem, suffix in source.suffixes.items():
-        name = stem + suffix
-        if suffix and name not in listed and present(folder / name):
-            scans.append(ScanFile(sequence=sequence, stem=stem, path=folder / name))
-    return scans

@@ -127,6 +127,12 @@ def test_clouds_without_a_frame_are_written_again_once_it_is_known(predicted):
     assert export_las(predicted.out, query=ResultQuery(selection=ScanSelection(limit=1))).done == 0
 
 
+def test_a_scan_that_is_gone_is_named_once(predicted, caplog):
+    predicted.scan().unlink()
+    assert export_las(predicted.out).done == 2
+    assert caplog.text.count("1 scan with results skipped") == 1
+
+
 def codes_of(labels, codes):
     return [codes.get(raw, 1) for raw in (labels & 0xFFFF).tolist()]
 
