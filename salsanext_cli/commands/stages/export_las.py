@@ -13,7 +13,7 @@ from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.io.formats.survey.las_labels import LasLabels, labelled_las
-from salsanext_cli.runs.labelling.map_frames import digest_of_frames, frame_of, frames_beside
+from salsanext_cli.runs.labelling.map_frames import digest_of_frames, frames_beside, with_frame
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import ExportLasSettings
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
@@ -53,8 +53,7 @@ class LasExport:
             raw=results.label,
             values={name: column for name, column in values.items() if name not in KEPT},
         )
-        frame = frame_of(file, results.scan, self.frames)
-        scan = replace(results.scan, notes=replace(results.scan.notes, frame=frame))
+        scan = with_frame(file, results.scan, self.frames)
         content = labelled_las(file.path, scan, labels, compressed=self.compressed)
         self.output.write(self.output.path(file, self.output.folders[0]), content)
 

@@ -33,6 +33,7 @@ from salsanext_cli.runs.labelling.label_records import (
     labels_root,
     pre_labelled_scans,
 )
+from salsanext_cli.runs.labelling.map_frames import frames_beside, with_frame
 from salsanext_cli.runs.loop.run_options import Progress
 from salsanext_cli.runs.results.paths import ScanFile, find_scans
 from salsanext_cli.runs.results.selection import data_set_label_space, space_of
@@ -84,12 +85,14 @@ def import_labels(
     records = {root: LabelRecords(root) for root in roots}
     meanings = LabelIds.from_space(space, ids)
     is_named = not is_folder(edited)
+    frames = frames_beside(edited_files)
     with ExitStack() as locks:
         for record in records.values():
             locks.enter_context(record.owned.open())
         for done, (scan, paths) in enumerate(edited_files.items(), start=1):
             try:
-                cloud = read_scan(scan.path, sensor)
+                # Tools save clouds of LAS in map coordinates.
+                cloud = with_frame(scan, read_scan(scan.path, sensor), frames)
                 labels = {
                     path: read_edited(path, scan, cloud, meanings, space, scalar) for path in paths
                 }

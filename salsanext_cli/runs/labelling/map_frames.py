@@ -3,6 +3,7 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -36,6 +37,12 @@ def frame_of(file: ScanFile, scan: Scan, beside: Mapping[ScanFile, Origin]) -> O
     """
     stated = scan.notes.frame
     return stated if stated != NO_SHIFT else beside.get(file, NO_SHIFT)
+
+
+def with_frame(file: ScanFile, scan: Scan, beside: Mapping[ScanFile, Origin]) -> Scan:
+    """Return a scan whose notes have the frame of its points, as of `frame_of`."""
+    frame = frame_of(file, scan, beside)
+    return replace(scan, notes=replace(scan.notes, frame=frame))
 
 
 def digest_of_frames(scans: Iterable[ScanFile]) -> str | None:

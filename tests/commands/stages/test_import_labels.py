@@ -16,6 +16,9 @@ from salsanext_cli import LabelSpace, label_space, read_labels, read_scan, write
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.io.formats.kitti_labels import encode_labels
+from salsanext_cli.io.formats.pcd_writing import encode_pcd
+from salsanext_cli.io.frames import FRAMES, encode_frames
+from salsanext_cli.io.labelling_tools.registry import tool_named
 from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans
@@ -55,6 +58,28 @@ class Labelled:
 @pytest.fixture
 def world(tmp_path):
     return Labelled(tmp_path)
+
+
+@pytest.mark.parametrize("tool", ["las", "sse", "supervisely"])
+def test_clouds_in_map_coordinates_are_those_of_scans_with_a_frame_beside_them(world, tool):
+    """The scans were picked from a map; `export-las` writes their clouds in it again."""
+    frame = (*UTM[:2], 47.5)
+    world.scans[0].path.parent.with_name(FRAMES).write_bytes(encode_frames({STEMS[0]: frame}))
+    points = world.points[0].astype(np.float64) + frame
+    train_ids = SPACE.to_train(world.truth[0])
+    labels = SPACE.to_raw(train_ids)
+    if tool == "las":
+        pytest.importorskip("laspy")
+        write_las(world.edited / "000010.las", points, offsets=UTM, extra={"label": labels})
+    else:
+        scalar = {"label": train_ids} if tool == "sse" else {"labels": labels}
+        files = tool_named(tool).common_files(SPACE)
+        cloud = encode_pcd({**dict(zip("xyz", points.T, strict=True)), **scalar})
+        world.edited.mkdir()
+        for name, content in {**files, "08_000010.pcd": cloud}.items():
+            (world.edited / name).write_bytes(content)
+    assert world.run().failures == []
+    np.testing.assert_array_equal(world.labels(), labels)
 
 
 def only_failure(found):
