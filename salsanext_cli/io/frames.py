@@ -1,14 +1,26 @@
 # SPDX-License-Identifier: MIT
 """Frames of scans that were moved out of map coordinates, in a file beside the scans."""
 
+import json
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 
-from salsanext_cli.core.errors import FormatError
+import numpy as np
+
+from salsanext_cli.core.notices import warn_once
+from salsanext_cli.core.plain_data import MALFORMED, decoded
 from salsanext_cli.core.records import Origin
-from salsanext_cli.io.files.json_files import encode_json, read_json
+from salsanext_cli.core.texts import with_hint
+from salsanext_cli.io.files.json_files import encode_json
+from salsanext_cli.io.files.reading import present, reading
 
 FRAMES = "frames.json"
+HINT = (
+    'for scans in map coordinates, give three metres by name, as {"000000": [460000, 5430000, 0]}'
+)
+
+log = logging.getLogger(__name__)
 
 
 def encode_frames(frames: Mapping[str, Origin]) -> bytes:
@@ -20,12 +32,19 @@ def encode_frames(frames: Mapping[str, Origin]) -> bytes:
 
 
 def read_frames(path: Path) -> dict[str, Origin]:
-    """Read a file of frames; none if there is no such file."""
+    """Read a file of frames; none if there is no such file.
+
+    Other programs give this name to other files. A warning names such a file, which has no frames.
+    """
+    if not present(path):
+        return {}
+    with reading(path) as file:
+        content = file.read()
     try:
-        data = read_json(path) or {}
-        frames = {str(name): tuple(map(float, frame)) for name, frame in data.items()}
-    except (TypeError, ValueError) as error:
-        raise FormatError(path, "is not a file of frames", "three numbers by scan") from error
-    if any(len(frame) != 3 for frame in frames.values()):
-        raise FormatError(path, "is not a file of frames", "three numbers by scan")
+        frames = decoded(dict[str, tuple[float, float, float]], json.loads(content))
+        if not np.isfinite(list(frames.values())).all():
+            raise ValueError("a frame that is not finite")
+    except MALFORMED:
+        warn_once(log, with_hint(f"{path}: is not a file of frames, and is ignored", HINT))
+        return {}
     return frames

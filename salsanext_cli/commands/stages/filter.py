@@ -2,7 +2,7 @@
 """Stage `filter`: scans in their format, and bags, without the points of some classes."""
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import MOVABLE, named_classes
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
+from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.formats.recording_kinds import kind_of
@@ -78,12 +79,14 @@ def filter_scans(
     task, chosen = _point_filter(out, folder, drop, keep, max_error, query)
     bags = bags_of(chosen.scans)
     _require_one_kind(chosen.scans, bags, query)
+    # Before `begin`, which removes outdated files: a frame may be unreadable.
+    frames = frames_beside(chosen.scans)
     written: dict[ScanFile, FilteredPoints] = {}
     with begin(task.owned, task.settings, options.overwrite):
         if bags:
             outcome = _filter_bags(task, bags, options, written)
         else:
-            outcome = _filter_files(task, chosen.scans, options, written)
+            outcome = _filter_files(task, chosen.scans, frames, options, written)
     total = sum(written.values(), FilteredPoints())
     empty = [scan.name for scan, counts in sorted(written.items()) if not counts.remaining]
     if empty:
@@ -96,14 +99,18 @@ def filter_scans(
 def _filter_files(
     task: PointFilter,
     scans: Sequence[ScanFile],
+    frames: Mapping[ScanFile, Origin],
     options: RunOptions,
     written: dict[ScanFile, FilteredPoints],
 ) -> Outcome:
-    """Write files of scans without some points; add the numbers of their points to `written`."""
+    """Write files of scans without some points; add the numbers of their points to `written`.
+
+    `frames`: frames of scans that were moved out of a map, metres.
+    """
     paths = map(task.path, scans)
     task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
     # First, so that an interrupted run leaves no scan without its frame.
-    add_frames(task.owned, frames_beside(scans))
+    add_frames(task.owned, frames)
 
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts

@@ -14,7 +14,7 @@ from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
 from salsanext_cli.commands.line.commands.filter import _filter_numbers
 from salsanext_cli.commands.stages.filter import filter_scans
 from salsanext_cli.core.classes.merging import named_classes
-from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.core.errors import FormatError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.geometry.scan_traits import traits_of
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.io.frames import FRAMES, encode_frames
@@ -84,6 +84,21 @@ def test_scans_that_were_moved_out_of_a_map_keep_their_frames(apply, world, tmp_
     (world.dataset / "sequences/08" / FRAMES).write_bytes(written)
     apply(drop=["person"])
     assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == written
+
+
+def test_a_file_of_the_name_of_frames_loses_no_results(apply, world, tmp_path, caplog):
+    again = RunOptions(overwrite=True)
+    path = world.dataset / "sequences/08" / FRAMES
+    path.write_text('[{"file": "000000.bin", "time": 1.0}]')
+    assert apply(drop=["person"]).done == 2
+    assert apply(drop=["car"], options=again).done == 2
+    assert str(path) in caplog.text
+    assert not (tmp_path / "to/sequences/08" / FRAMES).exists()
+    path.unlink()
+    path.mkdir()
+    before = files_below(tmp_path / "to")
+    refused(FormatError, path, apply, drop=["person"], options=again)
+    assert files_below(tmp_path / "to") == before
 
 
 def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):
