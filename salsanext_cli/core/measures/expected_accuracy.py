@@ -12,6 +12,8 @@ It is withheld, with the codes as reasons, for:
 
 - a scan with a warning whose code `withholds_estimate`
 - all scans of a folder if one of them, in this or an earlier run, has a warning of `OF_RUN`
+
+Merged classes have the same estimate: it held for coarse ones (docs/experiments/guarantee.md).
 """
 
 from __future__ import annotations

@@ -19,33 +19,50 @@ LINE = AccuracyLine(1.0, 0.0, 0.05)
 SAFETY = Path(__file__).parents[3] / "docs/experiments/guarantee.md"
 FIGURES = Path(__file__).parents[3] / "docs/figures.json"
 SHARES = st.floats(0, 1)
+ALL_CLASSES = 1  # Number of a table on that page
+COARSE = 2
 
 
-def judged_drives() -> np.ndarray:
-    """Return the first table of the docs: confidence, estimated and right (3, drives), in %."""
-    table = SAFETY.read_text().split("| confidence | estimated | right |")[1].split("\n\n")[0]
+def judged_drives(number: int) -> np.ndarray:
+    """Return a table of the docs: confidence, estimated and right (3, drives), in %."""
+    tables = SAFETY.read_text().split("| confidence | estimated | right |")
+    table = tables[number].split("\n\n")[0]
     columns = zip(*(line.split("|")[2:5] for line in table.splitlines()[2:]), strict=True)
     return np.array(
         [[float(n) for n in re.findall(r"[\d.]+", " ".join(cells))] for cells in columns]
     )
 
 
-def test_the_line_of_the_weights_is_that_of_the_docs():
-    confidences, expected, right = judged_drives()
+@pytest.mark.parametrize("number", [ALL_CLASSES, COARSE])
+def test_the_line_of_the_weights_is_that_of_the_docs(number):
+    confidences, expected, _ = judged_drives(number)
     line = read_card(default_weights()).accuracy
     for confidence, stated in zip(confidences, expected, strict=True):
         estimate = expected_accuracy(line, {"a": confidence / 100}, {})
         assert 100 * estimate.accuracy == pytest.approx(stated, abs=0.1)
+
+
+def test_the_deviation_of_the_weights_is_that_of_the_docs():
+    _, expected, right = judged_drives(ALL_CLASSES)
+    line = read_card(default_weights()).accuracy
     misses = expected - right
     assert line.deviation == pytest.approx(np.sqrt(np.mean(misses**2)) / 100, abs=1e-3)
 
 
 def test_the_interval_holds_for_as_many_drives_as_the_docs_state():
-    _, estimated, right = judged_drives()
+    _, estimated, right = judged_drives(ALL_CLASSES)
     inside = np.abs(estimated - right) <= 100 * read_card(default_weights()).accuracy.margin
     stored = json.loads(FIGURES.read_text())["estimates"]
     assert (len(inside), sum(inside)) == (int(stored["drives"]), int(stored["inside"]))
     assert sum(inside) >= 0.9 * len(inside)
+
+
+def test_the_interval_holds_in_coarse_classes():
+    _, estimated, right = judged_drives(COARSE)
+    misses = np.abs(estimated - right)
+    assert len(misses) == 12
+    assert misses.max() <= 100 * read_card(default_weights()).accuracy.margin
+    assert np.sqrt(np.mean(misses**2)) == pytest.approx(1.6, abs=0.05)
 
 
 def test_lines_of_early_weights_have_an_interval_of_some_deviations():
