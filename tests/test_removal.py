@@ -3,6 +3,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from package_trees import MODULES, PACKAGE, imports_of, name_of, tree_of
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/project/development.md").read_text("utf-8")
 SECTION = PAGE.partition("## Remove a part")[2].partition("\n## ")[0]
+OUTSIDE = ("tests", "benchmarks", "examples", "docs")  # Folders that use the package
 NAMES_FUSE = re.compile(
     "^fuse$|--fuse|salsanext fuse|`fuse`|FUSED|FuseSettings|FusionReach|fused_of|read_fused"
     "|DISAGREEMENT|^disagreement$"
@@ -91,8 +93,31 @@ def test_modules_that_name_fuse_are_listed():
 
 
 def test_paths_outside_the_package_exist():
-    text = SECTION.rpartition("|\n")[2]
+    text = SECTION.partition("Outside the package")[2]
     paths = paths_in(text)
-    assert len(paths) >= 8
+    assert len(paths) >= 13
     missing = {path for path in paths if not ((ROOT / path).exists() or (PACKAGE / path).exists())}
     assert missing == set()
+
+
+@cache
+def text_outside(path: Path) -> str:
+    return path.read_text("utf-8")
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_pattern_of_a_part_finds_what_uses_it_outside_the_package(part):
+    patterns = {name: pattern for name, *_, pattern in rows(4)}
+    assert len(patterns) == len(PARTS)
+    words = re.findall("`([^`]+)`", patterns[part.partition(",")[0]])
+    pattern = re.compile(rf"\b({'|'.join(words)})\b")
+    deleted, _ = PARTS[part]
+    names = [name_of(module) for module in MODULES if belongs(name_of(module), deleted)]
+    dotted = [re.escape(name.removesuffix(".py").replace("/", ".")) for name in names]
+    used = re.compile(rf"salsanext_cli\.({'|'.join(dotted)})\b")
+    files = [path for folder in OUTSIDE for path in (ROOT / folder).rglob("*.*")]
+    users = [
+        path for path in files if path.suffix in (".py", ".md") and used.search(text_outside(path))
+    ]
+    assert users
+    assert [path for path in users if not pattern.search(text_outside(path))] == []
