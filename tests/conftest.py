@@ -14,9 +14,13 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from world import World
 
-settings.register_profile("few", max_examples=25, deadline=None)
+settings.register_profile("few", max_examples=15, deadline=None)
 settings.register_profile("many", max_examples=400, deadline=None)
 settings.load_profile("few")
+
+MIN_NEW_OBJECTS = 20_000
+"""Objects after which garbage is searched; after 700, as by default, it takes a twentieth of the
+time."""
 
 # On a processor that multiplies bfloat16 commands would choose that, and other bits.
 os.environ.setdefault("SALSANEXT_PRECISION", "float32")
@@ -30,6 +34,7 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(MIN_NEW_OBJECTS)
         gc.enable()
 
 

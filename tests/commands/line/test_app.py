@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from command_line import every_command, invoked, logger_as_before, only_json, parsed, python
-from scans import files_below, write_sequence
+from command_line import called, every_command, invoked, logger_as_before, only_json, parsed, python
+from scans import files_below, salsanext_of, write_sequence
 
 from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
@@ -144,24 +144,23 @@ def test_help_imports_nothing_heavy():
 
 
 def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_path):
-    """The first run fills the caches; the second runs without the compilers."""
+    """A run in this process fills the caches; the second runs without the compilers."""
     write_sequence(tmp_path / "data", ["0"])
-    outs = [tmp_path / "first", tmp_path / "second"]
-    for out in outs:
-        words = ["predict", str(tmp_path / "data"), str(out), "-q", "--error", "--device", "cpu"]
-        words += ["--width", "512"]
-        ended = python(
-            "import sys\n"
-            "from salsanext_cli.commands.line.app import main\n"
-            f"sys.argv = ['salsanext', *{words!r}]\n"
-            "try:\n    main()\n"
-            "except SystemExit as leaving:\n    assert not leaving.code\n"
-            f"print([name for name in {UNUSED_BY_PREDICT!r} if name in sys.modules])\n"
-        )
-        assert ended.returncode == 0, ended.stderr
-    assert ended.stdout == "[]\n"
-    first, second = (files_below(out / "sequences") for out in outs)
-    assert first == second
+    first, second = tmp_path / "first", tmp_path / "second"
+    options = ["-q", "--error", "--device", "cpu", "--width", "512"]
+    with salsanext_of():  # All channels, which the default weights have
+        called("predict", tmp_path / "data", first, *options)
+    words = ["salsanext", "predict", f"{tmp_path / 'data'}", f"{second}", *options]
+    ended = python(
+        "import sys\n"
+        "from salsanext_cli.commands.line.app import main\n"
+        f"sys.argv = {words!r}\n"
+        "try:\n    main()\n"
+        "except SystemExit as leaving:\n    assert not leaving.code\n"
+        f"print([name for name in {UNUSED_BY_PREDICT!r} if name in sys.modules])\n"
+    )
+    assert (ended.returncode, ended.stdout) == (0, "[]\n"), ended.stderr
+    assert files_below(first / "sequences") == files_below(second / "sequences")
 
 
 def test_characters_outside_the_encoding_of_stdout_are_replaced():

@@ -8,7 +8,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,8 @@ def test_without_openvino_torch_computes_with_one_warning(fresh, monkeypatch, ca
     assert 'engine="torch"' in caught.value.hint
 
 
-SIZE = (1, 5, 19, 70)
+ODD_SIZE = (1, 5, 19, 70)
+SIZE = (1, 5, 32, 96)
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -75,19 +76,30 @@ def images(*size):
     return torch.randn(*size, generator=torch.Generator().manual_seed(4))
 
 
-def compiled(module, x, **options):
-    make = partial(converted, module, lambda m, image: m(image), [x])
+@cache
+def graph(*size):
+    """Return the graph of the network for images of a size; to convert it takes a second."""
+    return converted(network(), lambda m, image: m(image), [images(*size)])
+
+
+def compiled(make, **options):
     return Graph(compiled_graph(make, "test", **options))
 
 
+def convolution(x):
+    """Return a function that converts a small module."""
+    module = nn.Conv2d(5, 8, 3).eval()
+    return partial(converted, module, lambda m, image: m(image), [x])
+
+
 def test_a_graph_in_float32_refuses_inputs_that_do_not_fit():
-    module, x = network(), images(*SIZE)
-    (found,) = compiled(module, x)(x.numpy())
+    module, x = network(), images(*ODD_SIZE)
+    (found,) = compiled(graph(*ODD_SIZE).clone)(x.numpy())
     with torch.inference_mode():
         expected = module.double()(x.double()).numpy()
     assert found.dtype == np.float32
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
-    run = compiled(nn.Conv2d(5, 8, 3), images(*SIZE))
+    run = compiled(convolution(x))
     with pytest.raises(RuntimeError):
         run(images(1, 5, 16, 16).numpy())
     with pytest.raises(RuntimeError):
@@ -97,8 +109,8 @@ def test_a_graph_in_float32_refuses_inputs_that_do_not_fit():
 @pytest.mark.skipif(not bfloat16_instructions(), reason="a CPU without bfloat16")
 def test_ends_stay_float32_when_the_rest_is_short():
     """By OpenVINO and by torch; a range that was rounded would be metres away."""
-    module, x = network(), images(1, 5, 16, 64)
-    short = compiled(module, x, precision="bfloat16")
+    module, x = network(), images(*SIZE)
+    short = compiled(graph(*SIZE).clone, precision="bfloat16")
     with torch.inference_mode():
         by_torch = in_precision(module, torch.bfloat16)(x)
         expected = module(x).numpy()
@@ -120,11 +132,11 @@ def test_ends_stay_float32_when_the_rest_is_short():
 def test_the_bits_do_not_depend_on_threads_or_streams(precision):
     if precision == "bfloat16" and not bfloat16_instructions():
         pytest.skip("a CPU without bfloat16")
-    module, x = network(), images(1, 5, 32, 96)
-    others = [images(1, 5, 32, 96).flip(axis).numpy() for axis in (2, 3)]
-    (expected,) = compiled(module, x, precision=precision)(x.numpy())
+    x, make = images(*SIZE), graph(*SIZE).clone
+    others = [x.flip(axis).numpy() for axis in (2, 3)]
+    (expected,) = compiled(make, precision=precision)(x.numpy())
     for threads, streams in ((2, 1), (2, 2), (3, 3)):
-        run = compiled(module, x, precision=precision, threads=threads, streams=streams)
+        run = compiled(make, precision=precision, threads=threads, streams=streams)
         assert np.array_equal(run(x.numpy())[0], expected)
         found = run.in_parallel([[image] for image in (others[0], x.numpy(), others[1])] * 3)
         equal = [np.array_equal(outputs[0], expected) for outputs in found]
@@ -141,24 +153,25 @@ def test_computing_threads_are_not_bound_to_cores(threads, streams):
         pytest.skip("a single core")
     tasks = Path("/proc/self/task")
     before = {task.name for task in tasks.iterdir()}
-    x = images(1, 5, 32, 512)
-    run = compiled(network(), x, threads=threads, streams=streams)
+    x = images(*SIZE)
+    run = compiled(graph(*SIZE).clone, threads=threads, streams=streams)
     found = []
     with ThreadPoolExecutor(1) as pool:
-        computing = pool.submit(run.in_parallel, [[x.numpy()]] * 5)
+        computing = pool.submit(run.in_parallel, [[x.numpy()]] * 25)
         while not computing.done():
             for task in {task.name for task in tasks.iterdir()} - before:
                 with suppress(ProcessLookupError):  # it has just ended
                     found.append(os.sched_getaffinity(int(task)))
             time.sleep(0.001)
-        assert len(computing.result()) == 5
+        assert len(computing.result()) == 25
     assert found
     assert all(each == cores for each in found)
 
 
 def test_a_compiled_graph_is_read_from_the_cache(tmp_path, caplog):
-    module, x = nn.Conv2d(5, 8, 3).eval(), images(1, 5, 16, 32)
-    (expected,) = compiled(module, x)(x.numpy())
+    x = images(1, 5, 16, 32)
+    make = convolution(x)
+    (expected,) = compiled(make)(x.numpy())
     (blob,) = tmp_path.rglob("*.blob")
 
     def refuse():
@@ -171,13 +184,13 @@ def test_a_compiled_graph_is_read_from_the_cache(tmp_path, caplog):
     content = blob.read_bytes()
     for damaged in (b"", content[:100], content[:-40], content[:5000] + b"\0" + content[5001:]):
         blob.write_bytes(damaged)
-        assert np.array_equal(compiled(module, x)(x.numpy())[0], expected)
+        assert np.array_equal(compiled(make)(x.numpy())[0], expected)
         assert np.array_equal(Graph(compiled_graph(refuse, "test"))(x.numpy())[0], expected)
     assert caplog.records
 
 
 def test_nothing_is_made_again_where_memory_runs_out(monkeypatch):
-    compiled(nn.Conv2d(5, 8, 3).eval(), images(1, 5, 16, 32))
+    compiled(convolution(images(1, 5, 16, 32)))
     reasons = ["Exception from src/inference/src/dev/plugin.cpp:74:\ncan't alloc\n", "other build"]
 
     class FullCore:
@@ -269,7 +282,7 @@ def test_the_version_of_graphs_changes_with_them():
     sample(tiny, image, samples=2, seed=0)
     aleatoric(tiny, image)
     pixel_features(tiny, tiny.input(image.channels))
-    made["salsanext"] = operations(converted(SalsaNext(), lambda m, x: m(x), [images(*SIZE)]))
+    made["salsanext"] = operations(graph(*ODD_SIZE))
     versions = (openvino.__version__.partition("-")[0], torch.__version__.partition("+")[0])
     if versions != OPERATIONS_BY:
         pytest.skip("other versions of the libraries, which are part of the key too")

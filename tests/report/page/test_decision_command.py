@@ -23,6 +23,8 @@ from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.paths import find_scans
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def words_of_command(out) -> list[str]:
     """Return the command of the decision on the page of a run, in words."""

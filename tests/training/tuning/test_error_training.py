@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.training.tuning.error_training import JudgedPoints, fit_error
 
@@ -27,10 +28,15 @@ def test_low_confidence_is_wrong_at_any_height() -> None:
     assert at[2] == at[0]
 
 
+@pytest.fixture(scope="module")
+def start() -> ErrorModel:
+    """Return a model by which a tenth of the points are wrong."""
+    return fit_error([points(lambda x: x[:, CONFIDENCE] < 0.1)])
+
+
 @pytest.mark.parametrize("sequences", [1, 7, 63])
-def test_more_sequences_correct_an_existing_model_more(sequences: int) -> None:
+def test_more_sequences_correct_an_existing_model_more(start: ErrorModel, sequences: int) -> None:
     """All new points are wrong, a tenth of them by the existing model."""
-    start = fit_error([points(lambda x: x[:, CONFIDENCE] < 0.1)])
     new = points(lambda x: np.full(len(x), True))
     fitted = fit_error([new], start, sequences).probability(new.features)
     share = sequences / (sequences + 7)
