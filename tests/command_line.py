@@ -75,7 +75,7 @@ def parsed(name: str) -> Any:
 
 @cache
 def documented_keys(stage: str) -> frozenset[str]:
-    """Return the keys that the page on JSON lists for a stage; no stage: for an error."""
+    """Return the keys that the page on JSON lists for a stage or section; for errors if empty."""
     head, *rest = re.split(r"^## (.+)\n", PAGE_OF_JSON.read_text("utf-8"), flags=re.MULTILINE)
     sections = dict(zip(rest[::2], rest[1::2], strict=True))
     of_scans = sections["Commands on scans"]
@@ -96,7 +96,8 @@ def only_json(result: Result) -> dict[str, Any]:
     assert result.stdout.count("\n") == 1, result.stdout
     data = json.loads(result.stdout, parse_constant=pytest.fail)
     assert isinstance(data, dict)
-    assert {*data} - documented_keys(data.get("stage", "")) == set()
+    section = "Dry runs" if data.get("dry_run") else data.get("stage", "")
+    assert {*data} - documented_keys(section) == set()
     # Strict readers refuse halves of characters.
     json.dumps(data, ensure_ascii=False).encode("utf-8")
     return data

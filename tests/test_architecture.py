@@ -195,7 +195,8 @@ def test_only_the_command_line_names_options():
 
 def test_training_and_synthesis_can_be_removed():
     """Nothing but their own stages and commands, and the demonstration, may need them."""
-    of_train = {"train", "training_scenes", "recipe_changes", "epoch_files", "event_files"}
+    of_train = {"train", "new_training", "training_scenes", "training_plan", "recipe_changes"}
+    of_train |= {"epoch_files", "event_files"}
     of_tune = {"tune", "tune_tables", "risk_picture"}
     allowed = of_train | of_tune | {"synth", "demo"}
     users = {
@@ -244,7 +245,7 @@ def test_percentages_of_messages_have_one_form():
 
 
 def test_stages_are_commands():
-    """One file each, but `view`, which serves the page of `report`, and scenes of `train`."""
+    """One file each, but `view`, which serves the page of `report`, and two more of `train`."""
     commands = {name.replace("-", "_") for names in COMMANDS.values() for name in names}
     stages = {path.stem for path in (PACKAGE / "commands/stages").glob("*.py")} - {"__init__"}
-    assert stages ^ commands == {"evaluate", "eval", "view", "training_scenes"}
+    assert stages ^ commands == {"evaluate", "eval", "view", "training_scenes", "new_training"}

@@ -38,3 +38,21 @@ def notice_once(message: str) -> None:
 def log_once(message: str, level: int) -> None:
     """Log a message at a level once per process."""
     logging.getLogger(__name__).log(level, "%s", message)
+
+
+_result_level: ContextVar[int] = ContextVar("result_level", default=NOTICE)
+
+
+@contextmanager
+def demote_result_notices() -> Iterator[None]:
+    """Log what concerns only labels as details, because the body computes none."""
+    token = _result_level.set(logging.INFO)
+    try:
+        yield
+    finally:
+        _result_level.reset(token)
+
+
+def result_level() -> int:
+    """Return the level of messages that concern only labels."""
+    return _result_level.get()

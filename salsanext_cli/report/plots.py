@@ -182,7 +182,8 @@ def risk_coverage(kinds: Mapping[str, RankingScores]) -> bytes:
     figure, axes = canvas.new_plot(*PLOT_PX, MAIN_PX, title)
     for kind, scores in kinds.items():
         colour, dashes = LINES[kind]
-        label = f"{kind} · AURC {percent(scores.aurc, 2, ' %')}"
+        name = kind.replace("_", " ")
+        label = f"{name} · AURC {percent(scores.aurc, 2, ' %')}"
         risk = 100 * scores.risk_coverage
         axes.plot(100 * COVERAGE, risk, color=colour, linestyle=dashes, label=label)
     dotted: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}

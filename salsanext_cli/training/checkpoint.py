@@ -68,11 +68,24 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
     except DAMAGE as error:
-        hint = f"start again with {setting('overwrite', True)} or in another folder"
-        raise TrainingError(
-            path, f"cannot be read: {error_text(error)}", "a checkpoint of this training", hint
-        ) from error
+        raise _damaged(path, error) from error
     return state
+
+
+def finished_epochs(path: Path) -> int:
+    """Return the number of finished epochs of a checkpoint; `TrainingError` if it is damaged."""
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            return int(json.loads((file.metadata() or {})[KEY])["progress"]["epoch"])
+    except DAMAGE as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> TrainingError:
+    """Return the error of a damaged checkpoint."""
+    hint = f"start again with {setting('overwrite', True)} or in another folder"
+    problem = f"cannot be read: {error_text(error)}"
+    return TrainingError(path, problem, "a checkpoint of this training", hint)
 
 
 def _networks(learner: Learner) -> nn.ModuleDict:

@@ -169,8 +169,13 @@ def recorded_samples(run: Path) -> str | None:
 
 
 def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
-    """Refuse a folder with files that a training may not replace, or with other settings."""
+    """Refuse a folder that cannot be written, and what `require_replaceable` refuses."""
     require_writable(run)
+    require_replaceable(run, settings, overwrite=overwrite)
+
+
+def require_replaceable(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
+    """Refuse a folder with files that a training may not replace, or with other settings."""
     owned = OwnedFolder(run, STAGE)
     recorded = None if overwrite else recorded_settings(run)
     owned.refuse_foreign([*_results(run), run / CLASS_COUNTS, run / RECIPE])

@@ -83,6 +83,14 @@ def is_bag(recording: Path) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BagsToCopy:
+    """Bags without a copy, and what is done."""
+
+    clouds: Mapping[BagOfResults, Sequence[ScanFile]]  # All clouds of each bag without a copy
+    done: int  # Number of the clouds of the other bags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BagRun:
     """Copies of bags in a folder that a stage fills.
 
@@ -94,26 +102,33 @@ class BagRun:
     new_topic: NewTopic
     new_cloud: NewCloud
 
-    def run(self, bags: Sequence[BagOfResults], options: RunOptions) -> Outcome:
-        """Copy the bags of this shard that are not done, one after the other."""
-        start = time.monotonic()
+    def to_copy(
+        self, bags: Sequence[BagOfResults], options: RunOptions, failures: list[Failure]
+    ) -> BagsToCopy:
+        """Return the bags of this shard without a copy; add unreadable ones to `failures`."""
         self._require_a_name_each(bags)
         clouds_of_bags: dict[BagOfResults, list[ScanFile]] = {}
-        failures: list[Failure] = []
-        skipped = 0
+        done = 0
         for bag in options.shard.select(bags):
             with _listed_failure(bag, failures, options):
                 clouds = bag.clouds()
                 if self._is_done(bag, len(clouds)) and not options.overwrite:
-                    skipped += len(clouds)
+                    done += len(clouds)
                 else:
                     clouds_of_bags[bag] = clouds
-        total = sum(map(len, clouds_of_bags.values()))
+        return BagsToCopy(clouds=clouds_of_bags, done=done)
+
+    def run(self, bags: Sequence[BagOfResults], options: RunOptions) -> Outcome:
+        """Copy the bags of this shard that are not done, one after the other."""
+        start = time.monotonic()
+        failures: list[Failure] = []
+        to_copy = self.to_copy(bags, options, failures)
+        total = sum(map(len, to_copy.clouds.values()))
         progress = CloudProgress(total=total, show=options.progress)
         progress.begin()
         done = 0
         with opened_events(options.events, total) as events:
-            for bag, clouds in clouds_of_bags.items():
+            for bag, clouds in to_copy.clouds.items():
                 with (
                     _listed_failure(bag, failures, options),
                     progress.attempt(len(clouds)),
@@ -121,7 +136,7 @@ class BagRun:
                 ):
                     done += self._copy(bag, clouds, progress)
         return Outcome(
-            skipped=skipped,
+            skipped=to_copy.done,
             failures=tuple(sorted(failures, key=lambda failure: failure.scan)),
             done=done,
             seconds=time.monotonic() - start,

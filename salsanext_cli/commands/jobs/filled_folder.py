@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 from salsanext_cli.io.files.locks import remove_if_empty
@@ -47,17 +48,35 @@ def _withdraw(owned: OwnedFolder) -> None:
             owned.remove_records([owned.record_path.name])
 
 
+def foresee(owned: OwnedFolder, settings: Any, overwrite: bool) -> bool:
+    """Refuse what `begin` refuses; return whether the files of the folder would stay.
+
+    Nothing is written or locked.
+    """
+    record = StageRecord(stage=owned.stage, settings=settings_json(settings))
+    return _outdated(owned, record, overwrite) is None
+
+
 def _record(owned: OwnedFolder, settings: Any, overwrite: bool) -> None:
     """Record the settings in a new folder, or one with the same settings unless overwriting."""
     record = StageRecord(stage=owned.stage, settings=settings_json(settings))
-    earlier = owned.manifest.record(owned.stage)
-    if earlier is None:
-        owned.require_new()
-    elif not earlier.has_settings(record.settings):
-        outdated = [path for path in owned.written() if path != owned.record_path]
-        if outdated and not overwrite:
-            require_same_settings(owned.record_path, earlier.settings, record.settings)
+    outdated = _outdated(owned, record, overwrite)
+    if outdated is not None:
         if owned.is_shared():
             raise owned.busy()
         owned.remove_written(outdated)
     owned.manifest.write(record)
+
+
+def _outdated(owned: OwnedFolder, record: StageRecord, overwrite: bool) -> list[Path] | None:
+    """Return the files of other settings, which go; None if all files stay."""
+    earlier = owned.manifest.record(owned.stage)
+    if earlier is None:
+        owned.require_new()
+        return None
+    if earlier.has_settings(record.settings):
+        return None
+    outdated = [path for path in owned.written() if path != owned.record_path]
+    if outdated and not overwrite:
+        require_same_settings(owned.record_path, earlier.settings, record.settings)
+    return outdated

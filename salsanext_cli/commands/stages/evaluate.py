@@ -5,11 +5,12 @@ import hashlib
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.commands.evaluation import Evaluation
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.commands.score_limits import ScoreLimit, require_classes
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import LabelError, NoInputError
@@ -24,8 +25,9 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.report.plots import PICTURES
 from salsanext_cli.runs.labelling.label_records import require_truth
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.results.paths import ScanFile, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -67,19 +69,80 @@ def evaluate(
     -------
     Evaluation
     """
+    chosen = _chosen(out, limits, query)
+    return evaluate_scans(
+        chosen.scans,
+        out,
+        chosen.space,
+        options,
+        chosen.part,
+        by_distance=by_distance,
+        settings=chosen.results.provenance(query.selection),
+        labels=query.label_space,
+    )
+
+
+def plan_evaluation(
+    out: Path,
+    *,
+    by_distance: bool = False,
+    limits: Sequence[ScoreLimit] = (),
+    query: ResultQuery = ResultQuery(),
+) -> RunPlan:
+    """Return what `evaluate` would do with the same arguments; write nothing into `out`.
+
+    Parameters
+    ----------
+    out, by_distance, limits, query
+        As for `evaluate`.
+
+    Returns
+    -------
+    RunPlan
+        All scans with results, and the selected ones with predictions, which are read again by
+        every evaluation.
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
+    """
+    chosen = _chosen(out, limits, query)
+    scans = chosen.scans
+    prepared = _prepared(
+        scans, out, chosen.space, chosen.part, by_distance=by_distance, labels=query.label_space
+    )
+    predicted = with_outputs(scans, out, "predictions")
+    if not predicted:
+        raise _nothing_predicted(out, len(scans))
+    results = prepared.results
+    missing = results.missing_predictions({*scans} - {*predicted})
+    missing.log_error(len(scans), "predictions")
+    plan = RunPlan.from_scans(chosen.results.scans(), predicted, Shard(), lambda scan: False)
+    return replace(plan, missing=missing)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChosenScans:
+    """Scans of an evaluation."""
+
+    results: ResultFolder
+    scans: Sequence[ScanFile]
+    space: LabelSpace  # Classes of the comparison
+    part: str  # As of `part_of`
+
+
+def _chosen(out: Path, limits: Sequence[ScoreLimit], query: ResultQuery) -> ChosenScans:
+    """Select scans with results; arguments as of `evaluate`."""
     results = ResultFolder(out, query.dataset)
     unlimited = replace(query.selection, limit=None)
     scans, space = results.predicted(unlimited, query.label_space, query.classes)
     require_classes(limits, space)
-    return evaluate_scans(
-        scans[: query.selection.limit],
-        out,
-        space,
-        options,
-        part_of(results, scans, query.selection),
-        by_distance=by_distance,
-        settings=results.provenance(query.selection),
-        labels=query.label_space,
+    return ChosenScans(
+        results=results,
+        scans=scans[: query.selection.limit],
+        space=space,
+        part=part_of(results, scans, query.selection),
     )
 
 
@@ -122,25 +185,57 @@ def evaluate_scans(
     -------
     Evaluation
     """
-    folder = out / "eval" / part if part else out
-    paths = [folder / name for name in FILES]
-    OwnedFolder(out).refuse_foreign(paths)
-    _require_labels(scans)
-    labels = space_of_labels(scans, space, labels)
+    prepared = _prepared(scans, out, space, part, by_distance=by_distance, labels=labels)
+    comparison = prepared.comparison
     recorded = {**(settings or {}), "by_distance": by_distance, "label_space": space}
-    if labels.learning_map != space.learning_map:
-        recorded["label_space_of_labels"] = labels
-    results = ResultFolder(out)
-    comparison = ScanComparison.from_results(
-        results.manifest, space, labels, by_distance=by_distance
+    if comparison.labels.learning_map != space.learning_map:
+        recorded["label_space_of_labels"] = comparison.labels
+    folder = prepared.folder
+    evaluation = _evaluation(
+        prepared.results, comparison, scans, options, as_json(recorded), folder
     )
-    evaluation = _evaluation(results, comparison, scans, options, as_json(recorded), folder)
     for text in evaluation.warnings():
         log.warning("%s", text)
     evaluation.missing.log_error(len(scans), "predictions")
+    paths = prepared.paths
     files = {folder / name: content for name, content in evaluation.files().items()}
     OwnedFolder(out).replace(files, absent=[path for path in paths if path not in files])
     return evaluation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedEvaluation:
+    """Evaluation before its first scan."""
+
+    results: ResultFolder
+    folder: Path  # Receives the files
+    comparison: ScanComparison
+
+    @property
+    def paths(self) -> list[Path]:
+        """All possible files of the evaluation."""
+        return [self.folder / name for name in FILES]
+
+
+def _prepared(
+    scans: Sequence[ScanFile],
+    out: Path,
+    space: LabelSpace,
+    part: str,
+    *,
+    by_distance: bool,
+    labels: LabelSpace | None,
+) -> PreparedEvaluation:
+    """Refuse what cannot be evaluated; arguments as of `evaluate_scans`."""
+    results = ResultFolder(out)
+    folder = out / "eval" / part if part else out
+    OwnedFolder(out).refuse_foreign(folder / name for name in FILES)
+    _require_labels(scans)
+    labels = space_of_labels(scans, space, labels)
+    comparison = ScanComparison.from_results(
+        results.manifest, space, labels, by_distance=by_distance
+    )
+    return PreparedEvaluation(results=results, folder=folder, comparison=comparison)
 
 
 def _evaluation(
@@ -190,7 +285,12 @@ def _nothing_compared(out: Path, counts: ScanCounts, failures: Sequence[Failure]
     if failures:
         problem = f"no scan could be compared: {failures[0].reason}"
         return NoInputError(out, problem, hint=failures[0].hint)
-    problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
+    return _nothing_predicted(out, len(counts.missing))
+
+
+def _nothing_predicted(out: Path, count: int) -> NoInputError:
+    """Return the error about so many scans without predictions."""
+    problem = f"has no predictions of {counted(count, 'scan')}"
     hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
     return NoInputError(out, problem, hint=hint)
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.commands.jobs.bag_run import BagOfResults, BagRun, bags_of, is_bag
-from salsanext_cli.commands.jobs.filled_folder import begin
+from salsanext_cli.commands.jobs.filled_folder import begin, foresee
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.commands.jobs.point_filter import FilterSettings, PointFilter, WrittenScan
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.classes.merging import MOVABLE, named_classes
@@ -20,7 +21,7 @@ from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.formats.recording_kinds import kind_of
-from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.formats.recordings import files_of, recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
 from salsanext_cli.runs.labelling.map_frames import add_frames, frames_beside
@@ -76,17 +77,16 @@ def filter_scans(
     -------
     FilterOutcome
     """
-    task, chosen = _point_filter(out, folder, drop, keep, max_error, query)
-    bags = bags_of(chosen.scans)
-    _require_one_kind(chosen.scans, bags, query)
-    # Before `begin`, which removes outdated files: a frame may be unreadable.
-    frames = frames_beside(chosen.scans)
+    prepared = _prepared(out, folder, drop, keep, max_error, query)
+    task = prepared.task
+    chosen = prepared.chosen
+    bags = prepared.bags
     written: dict[ScanFile, FilteredPoints] = {}
     with begin(task.owned, task.settings, options.overwrite):
         if bags:
             outcome = _filter_bags(task, bags, options, written)
         else:
-            outcome = _filter_files(task, chosen.scans, frames, options, written)
+            outcome = _filter_files(task, chosen.scans, prepared.frames, options, written)
     total = sum(written.values(), FilteredPoints())
     empty = [scan.name for scan, counts in sorted(written.items()) if not counts.remaining]
     if empty:
@@ -94,6 +94,54 @@ def filter_scans(
     if drop and total.rejected:
         log.warning("%s", _warning_of_rejected(total.rejected, drop, task.space))
     return FilterOutcome.from_run(outcome, missing=chosen.missing, filtered_points=total)
+
+
+def plan_filter(
+    out: Path,
+    folder: Path,
+    *,
+    drop: Collection[str] = (),
+    keep: Collection[str] = (),
+    max_error: float | None = None,
+    query: ResultQuery = ResultQuery(),
+    options: RunOptions = RunOptions(),
+) -> RunPlan:
+    """Return what `filter_scans` would do with the same arguments; write nothing into `folder`.
+
+    Parameters
+    ----------
+    out, folder, drop, keep, max_error, query, options
+        As for `filter_scans`.
+
+    Returns
+    -------
+    RunPlan
+        The size is that of the files with all points.
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
+    """
+    prepared = _prepared(out, folder, drop, keep, max_error, query)
+    task = prepared.task
+    scans = prepared.chosen.scans
+    listed = task.results.scans()
+    stays = foresee(task.owned, task.settings, options.overwrite) and not options.overwrite
+    if prepared.bags:
+        run = _bag_run(task, {})
+        to_copy = run.to_copy(prepared.bags, replace(options, overwrite=not stays), [])
+        todo = [cloud for clouds in to_copy.clouds.values() for cloud in clouds]
+        plan = RunPlan(scans=len(listed), done=to_copy.done, todo=todo)
+        files = [file for bag in to_copy.clouds for file in files_of(bag.path)]
+    else:
+        task = _with_foreign_files(task, scans)
+        plan = RunPlan.from_scans(
+            listed, scans, options.shard, lambda scan: stays and task.is_done(scan)
+        )
+        files = [scan.path for scan in plan.todo]
+    size = sum(file.stat().st_size for file in files)
+    return replace(plan, missing=prepared.chosen.missing, size=size, is_limit=True)
 
 
 def _filter_files(
@@ -107,10 +155,10 @@ def _filter_files(
 
     `frames`: frames of scans that were moved out of a map, metres.
     """
-    paths = map(task.path, scans)
-    task = replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
+    task = _with_foreign_files(task, scans)
+    todo = [scan for scan in scans if options.overwrite or not task.is_done(scan)]
     # First, so that an interrupted run leaves no scan without its frame.
-    add_frames(task.owned, frames)
+    add_frames(task.owned, frames, rewritten=todo)
 
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts
@@ -126,6 +174,12 @@ def _filter_files(
     )
 
 
+def _with_foreign_files(task: PointFilter, scans: Sequence[ScanFile]) -> PointFilter:
+    """Return a filter with the files that are not as salsanext wrote them."""
+    paths = map(task.path, scans)
+    return replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
+
+
 def _filter_bags(
     task: PointFilter,
     bags: Sequence[BagOfResults],
@@ -133,23 +187,27 @@ def _filter_bags(
     written: dict[ScanFile, FilteredPoints],
 ) -> Outcome:
     """Write bags without some points; add the numbers of their points to `written`."""
+    outcome = _bag_run(task, written).run(bags, options)
+    failed = {failure.scan.sequence for failure in outcome.failures}
+    for file in [file for file in written if file.sequence in failed]:
+        del written[file]
+    return outcome
+
+
+def _bag_run(task: PointFilter, written: dict[ScanFile, FilteredPoints]) -> BagRun:
+    """Return the run that filters bags; it adds the numbers of their points to `written`."""
 
     def new_cloud(file: ScanFile, message: Any, _: Types) -> Any:
         filtered = task.filtered_cloud(file)
         written[file] = filtered.counts
         return cloud_subset(message, filtered.remains, file.path)
 
-    run = BagRun(
+    return BagRun(
         results=task.results,
         owned=task.owned,
         new_topic=lambda bag, topic: topic,
         new_cloud=new_cloud,
     )
-    outcome = run.run(bags, options)
-    failed = {failure.scan.sequence for failure in outcome.failures}
-    for file in [file for file in written if file.sequence in failed]:
-        del written[file]
-    return outcome
 
 
 def _warning_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -> str:
@@ -165,15 +223,26 @@ def _warning_of_rejected(count: int, drop: Collection[str], space: LabelSpace) -
     return with_hint(problem, f"{drop_too}; to drop them by their class, {without}")
 
 
-def _point_filter(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedFilter:
+    """Filter before its first scan."""
+
+    task: PointFilter
+    chosen: ChosenResults
+    bags: Sequence[BagOfResults]  # Of the scans; none for scans in files
+    # Of scans that were moved out of a map, metres; read before outdated files are removed
+    frames: Mapping[ScanFile, Origin]
+
+
+def _prepared(
     out: Path,
     folder: Path,
     drop: Collection[str],
     keep: Collection[str],
     max_error: float | None,
     query: ResultQuery,
-) -> tuple[PointFilter, ChosenResults]:
-    """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
+) -> PreparedFilter:
+    """Choose scans and points; arguments as of `filter_scans`."""
     _require_choice_of_points(drop, keep, max_error)
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
@@ -198,7 +267,11 @@ def _point_filter(
         selected=selected,
         sensor=results.manifest.sensor(),
     )
-    return point_filter, chosen
+    bags = bags_of(chosen.scans)
+    _require_one_kind(chosen.scans, bags, query)
+    return PreparedFilter(
+        task=point_filter, chosen=chosen, bags=bags, frames=frames_beside(chosen.scans)
+    )
 
 
 def _require_choice_of_points(

@@ -2,25 +2,26 @@
 """Stage `fuse`: labels of the scans of a drive by all scans that see the same locations."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.commands.jobs.fuse_task import FuseTask
-from salsanext_cli.core.errors import UsageError
+from salsanext_cli.commands.jobs.plans.prepared_run import PreparedRun
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
+from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.window import warn_without_movable_classes
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
-from salsanext_cli.runs.drives.drive_of_run import drive_of_run
-from salsanext_cli.runs.drives.fusible_results import fusible_results, sequences_of
+from salsanext_cli.runs.drives.drive_of_run import drive_of_run, foresee_drive
+from salsanext_cli.runs.drives.fusible_results import FusibleResults, fusible_results, sequences_of
 from salsanext_cli.runs.drives.scans_of_drive import drive_findings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.output_run import output_run
 from salsanext_cli.runs.results.paths import DISAGREEMENT, FUSED, ScanFile, drive_order
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.selection import scans_of
@@ -62,32 +63,13 @@ def fuse_results(
     -------
     Outcome
     """
-    target = target or out / FUSED
-    if target.resolve() == out.resolve():
-        raise UsageError("TARGET", f"{target} has the labels of single scans", "another folder")
-    fusible = fusible_results(out, query)
-    warn_without_movable_classes(fusible.space)  # Here, not in each worker
+    prepared = _prepared(out, target, poses=poses, reach=reach, query=query, options=options)
+    fusible = prepared.fusible
+    drives_by_poses = prepared.drives_by_poses
     stop = options.on_error == "stop"
-    # Other shards compute the drives of their sequences.
-    sequences = sequences_of(options.shard.select(fusible.scans))
-    drives_by_poses = fusible.drives_by_poses(sequences, poses, stop=stop)
     summary = RunSummary(sensor=fusible.sensor, space=fusible.space, scans=fusible.scans)
-    votes = output_run(
-        out,
-        "fuse",
-        fusible.settings_of_votes(reach),
-        FOLDERS_OF_VOTES,
-        fusible.scans,
-        overwrite=options.overwrite,
-    )
-    labels = output_run(
-        target,
-        "fuse",
-        fusible.settings_of_labels(reach, target),
-        (*FOLDERS_OF_VOTES, "predictions"),
-        fusible.scans,
-        overwrite=options.overwrite,
-    )
+    votes = prepared.votes.opened()
+    labels = prepared.labels.opened()
     with (
         votes as single_run,
         labels as fused_run,
@@ -98,7 +80,7 @@ def fuse_results(
             files = fusible.members[name]
             return drive_of_run(files, drives_by_poses[name], single_run, fused_run, fusible.sensor)
 
-        drives = by_sequence(sequences, drive_of, stop=stop)
+        drives = by_sequence(drives_by_poses, drive_of, stop=stop)
 
         def is_done(file: ScanFile) -> bool:
             has_drive = isinstance(drives[file.sequence], Drive)
@@ -117,9 +99,116 @@ def fuse_results(
             fused_run=fused_run,
         )
         outcome = run_over_scans(
-            task, fusible.scans, options, is_done=is_done, summary=summary, writes=[out, target]
+            task,
+            fusible.scans,
+            options,
+            is_done=is_done,
+            summary=summary,
+            writes=[out, prepared.labels.out],
         )
     return replace(outcome, missing=fusible.missing)
+
+
+def plan_fusion(
+    out: Path,
+    target: Path | None = None,
+    *,
+    poses: Path | None = None,
+    reach: FusionReach = FusionReach(),
+    query: ResultQuery = ResultQuery(),
+    options: RunOptions = RunOptions(),
+) -> RunPlan:
+    """Return what `fuse_results` would do with the same arguments; write nothing.
+
+    Parameters
+    ----------
+    out, target, poses, reach, query, options
+        As for `fuse_results`.
+
+    Returns
+    -------
+    RunPlan
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse before it computes the poses of a drive.
+    """
+    prepared = _prepared(out, target, poses=poses, reach=reach, query=query, options=options)
+    fusible = prepared.fusible
+    single = prepared.votes.foreseen()
+    fused = prepared.labels.foreseen()
+
+    def is_unchanged(name: str) -> bool:
+        drive = prepared.drives_by_poses[name]
+        return foresee_drive(fusible.members[name], drive, single, fused)
+
+    unchanged = by_sequence(prepared.drives_by_poses, is_unchanged, stop=options.on_error == "stop")
+
+    def is_done(file: ScanFile) -> bool:
+        return unchanged[file.sequence] is True and single.is_done(file) and fused.is_done(file)
+
+    for name, error in unchanged.items():
+        if isinstance(error, SalsanextError):
+            log.error("sequence %s: %s", name, error)
+    plan = RunPlan.from_scans(prepared.votes.listed, fusible.scans, options.shard, is_done)
+    folders = (*prepared.votes.folders, *prepared.labels.folders)
+    sized = plan.with_results(fusible.scans, folders, fusible.sensor)
+    return replace(sized, missing=fusible.missing)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedFusion:
+    """Fusion before its first scan."""
+
+    fusible: FusibleResults
+    # As of `FusibleResults`, of the sequences of the shard
+    drives_by_poses: Mapping[str, Drive | SalsanextError | None]
+    votes: PreparedRun  # Writes beside the labels of single scans
+    labels: PreparedRun  # Writes the fused labels
+
+
+def _prepared(
+    out: Path,
+    target: Path | None,
+    *,
+    poses: Path | None,
+    reach: FusionReach,
+    query: ResultQuery,
+    options: RunOptions,
+) -> PreparedFusion:
+    """Find the scans that can be fused, and their poses; arguments as of `fuse_results`."""
+    target = target or out / FUSED
+    if target.resolve() == out.resolve():
+        raise UsageError("TARGET", f"{target} has the labels of single scans", "another folder")
+    fusible = fusible_results(out, query)
+    warn_without_movable_classes(fusible.space)  # Here, not in each worker
+    listed = fusible.results.scans()
+    stop = options.on_error == "stop"
+    # Other shards compute the drives of their sequences.
+    sequences = sequences_of(options.shard.select(fusible.scans))
+    return PreparedFusion(
+        fusible=fusible,
+        drives_by_poses=fusible.drives_by_poses(sequences, poses, stop=stop),
+        votes=PreparedRun(
+            out=out,
+            stage="fuse",
+            listed=listed,
+            scans=fusible.scans,
+            recorded=fusible.settings_of_votes(reach),
+            folders=FOLDERS_OF_VOTES,
+            overwrite=options.overwrite,
+        ),
+        labels=PreparedRun(
+            out=target,
+            stage="fuse",
+            listed=listed,
+            scans=fusible.scans,
+            recorded=fusible.settings_of_labels(reach, target),
+            folders=(*FOLDERS_OF_VOTES, "predictions"),
+            overwrite=options.overwrite,
+        ),
+    )
 
 
 def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOptions) -> None:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from salsanext_cli.commands.jobs.plans.prepared_run import PreparedRun
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.core.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.geometry.knn import knn_refine
@@ -17,7 +19,7 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import RefineSettings
-from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import ScanFile, find_scans, with_outputs
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import ResultFolder
@@ -69,6 +71,14 @@ class RefineJob:
         return ScanSummary.from_labels(scan.file, refined, self.space)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedRefinement(PreparedRun):
+    """Refinement before its first scan."""
+
+    sensor: Sensor  # Of the range images
+    space: LabelSpace
+
+
 def knn_refine_scans(
     out: Path,
     *,
@@ -102,6 +112,75 @@ def knn_refine_scans(
     -------
     Outcome
     """
+    prepared = _prepared(
+        out,
+        dataset=dataset,
+        sensor=sensor,
+        space=space,
+        knn=knn,
+        selection=selection,
+        overwrite=options.overwrite,
+    )
+    scans = prepared.scans
+    summary = RunSummary(sensor=prepared.sensor, space=prepared.space, scans=scans)
+    with prepared.opened() as output, recorded_summary(summary, output, scans):
+        job = RefineJob(space=prepared.space, sensor=prepared.sensor, knn=knn, output=output)
+        return run_over_scans(
+            job, scans, options, is_done=output.is_done, summary=summary, writes=[out]
+        )
+
+
+def plan_refinement(
+    out: Path,
+    *,
+    dataset: Path | None = None,
+    sensor: Sensor | None = None,
+    space: LabelSpace | None = None,
+    knn: KnnParameters = KnnParameters(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> RunPlan:
+    """Return what `knn_refine_scans` would do with the same arguments; write nothing into `out`.
+
+    Parameters
+    ----------
+    out, dataset, sensor, space, knn, selection, options
+        As for `knn_refine_scans`.
+
+    Returns
+    -------
+    RunPlan
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
+    """
+    prepared = _prepared(
+        out,
+        dataset=dataset,
+        sensor=sensor,
+        space=space,
+        knn=knn,
+        selection=selection,
+        overwrite=options.overwrite,
+    )
+    run = prepared.foreseen()
+    plan = RunPlan.from_scans(prepared.listed, prepared.scans, options.shard, run.is_done)
+    return plan.with_results(prepared.scans, prepared.folders, prepared.sensor)
+
+
+def _prepared(
+    out: Path,
+    *,
+    dataset: Path | None,
+    sensor: Sensor | None,
+    space: LabelSpace | None,
+    knn: KnnParameters,
+    selection: ScanSelection,
+    overwrite: bool,
+) -> PreparedRefinement:
+    """Find the scans with labels of pixels; arguments as of `knn_refine_scans`."""
     results = ResultFolder(out)
     _require_unrejected(results)
     scans = find_scans(dataset) if dataset else results.scans()
@@ -114,21 +193,18 @@ def knn_refine_scans(
     settings = RefineSettings(
         label_space=space, sensor=sensor, knn=knn, origins=results.manifest.origins(["predict"])
     )
-    summary = RunSummary(sensor=sensor, space=space, scans=chosen)
-    run = output_run(
-        out,
-        "knn-refine",
-        settings,
-        ("predictions",),
-        chosen,
-        overwrite=options.overwrite,
-        record_scans=dataset is not None,
+    return PreparedRefinement(
+        out=out,
+        stage="knn-refine",
+        listed=with_labels,
+        scans=chosen,
+        recorded=settings,
+        folders=("predictions",),
+        overwrite=overwrite,
+        records_scans=dataset is not None,
+        sensor=sensor,
+        space=space,
     )
-    with run as output, recorded_summary(summary, output, chosen):
-        job = RefineJob(space=space, sensor=sensor, knn=knn, output=output)
-        return run_over_scans(
-            job, chosen, options, is_done=output.is_done, summary=summary, writes=[out]
-        )
 
 
 def _require_unrejected(results: ResultFolder) -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `pick`: a data set of the scans most worth labelling."""
 
-import hashlib
 import logging
 import statistics
 from collections.abc import Sequence
@@ -12,29 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.commands.jobs.pick_job import PickJob, PreLabel
+from salsanext_cli.commands.jobs.plans.pick_plan import PickPlan
+from salsanext_cli.commands.jobs.plans.prepared_pick import SAMPLES, PreparedPick, prepare_pick
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.errors import NoInputError, UsageError
-from salsanext_cli.core.measures.scan_choice import choose_scans, require_choice
+from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.records import Origin
-from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
-from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
-from salsanext_cli.core.wording import argument
 from salsanext_cli.io.labelling_tools.registry import tool_named
 from salsanext_cli.io.labelling_tools.tool import LabellingTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.fit.scan_sample import sample_of_files
-from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
 from salsanext_cli.runs.labelling.map_frames import add_frames
 from salsanext_cli.runs.labelling.picked_data_set import (
-    CHOSEN,
     NAMED,
     STAGE,
     TABLE,
-    PickedDataSet,
     PickedScan,
     PickRecord,
     PickSettings,
@@ -42,21 +34,15 @@ from salsanext_cli.runs.labelling.picked_data_set import (
 )
 from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
 from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
-from salsanext_cli.runs.loop.event_file import opened_events
 from salsanext_cli.runs.loop.network_task import NetworkTask, sampling_task
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.loop.run_origins import OriginsOfSource
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
-from salsanext_cli.runs.results.named_scans import named_scans, read_names
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.scan_selection import PICKED_SCANS, ScanSelection
-from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.runs.results.selection import space_of
 from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
-
-SAMPLES = 8  # Passes of Monte-Carlo dropout, with the same masks for all scans
 
 log = logging.getLogger(__name__)
 
@@ -125,101 +111,88 @@ def pick(
     -------
     Picking
     """
-    require_choice(count, seed)
     labelling_tool = None if tool is None else tool_named(tool)
-    network = settings.for_sampling().load()
-    require_sampling(network, SAMPLES)
-    listed = scans_of(source)
-    data_set = PickedDataSet(out)
-    data_set.require_apart(listed)
-    space = space_of(listed, network.space)
-    selected = choose(listed, replace(selection, limit=None), space, source)
-    scans = _candidates(selected, selection, labelled, names)
-    count = count if names is None else len(scans)
-    done = _done(scans, labelled, source)
+    prepared = prepare_pick(
+        source,
+        out,
+        count=count,
+        seed=seed,
+        settings=settings,
+        selection=selection,
+        labelled=labelled,
+        names=names,
+    )
+    data_set = prepared.data_set
+    scans = prepared.scans
+    network = prepared.network
+    by_poses = prepared.origins
     with data_set.open():
-        by_poses = OriginsOfSource(listed=listed)
-        sample = sample_of_files(listed, network.sensor, origins_of=by_poses.sample_origins)
-        network = fit_scans(settings, network, sample)
-        recorded = _settings(
-            network, count, seed, scans, done if labelled else None, is_list=names is not None
-        )
-        record = data_set.earlier(recorded, overwrite=options.overwrite)
+        record = data_set.earlier(prepared.settings, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
-            _add_files_of_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
-            with opened_events(options.events, 0):
-                return _picking(record, scans)
+            _add_files_of_tool(prepared, labelling_tool, record)
+            return _picking(record, scans)
         resolved = settings.resolved(network)
         origins = by_poses.scan_origins(scans, network.sensor)
         if record is None:
             describe = partial(DescribeJob, samples=SAMPLES, seed=seed, origins=origins)
             task = sampling_task(describe, resolved, network)
-            record = _chosen(task, network, scans, recorded, done, options)
+            record = _chosen(task, prepared, options)
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
         write = partial(PickJob, seed=seed, samples=SAMPLES, data_set=data_set, origins=origins)
         task = sampling_task(write, resolved, network)
-        space = space if space.fits(network.space) else space_of([], network.space)
-        outcome = _written(task, data_set, record, scans, options, space)
-        _add_files_of_tool(data_set, labelling_tool, record, scans, network.sensor, by_poses)
+        outcome = _written(task, prepared, record, options)
+        _add_files_of_tool(prepared, labelling_tool, record)
     return replace(_picking(record, scans), outcome=outcome)
 
 
-def _settings(
-    network: Network,
-    count: int,
-    seed: int,
-    scans: Sequence[ScanFile],
-    done: set[ScanFile] | None,
+def plan_pick(
+    source: Path,
+    out: Path,
     *,
-    is_list: bool,
-) -> PickSettings:
-    """Return the settings of a choice among scans, some of which are labelled already."""
-    return PickSettings(
-        network=settings_of_network(network, ComputedSettings),
+    count: int = PICKED_SCANS,
+    seed: int = 0,
+    settings: NetworkSettings = NetworkSettings(),
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+    labelled: Sequence[Path] = (),
+    names: Path | None = None,
+    tool: str | None = None,
+) -> PickPlan:
+    """Return what `pick` would do with the same arguments; write nothing into `out`.
+
+    Parameters
+    ----------
+    source, out, count, seed, settings, selection, options, labelled, names, tool
+        As for `pick`.
+
+    Returns
+    -------
+    PickPlan
+        The scans to do are all scans to choose from, or the picked scans without all their files
+        where an earlier run has chosen them.
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
+    """
+    if tool is not None:
+        tool_named(tool)
+    prepared = prepare_pick(
+        source,
+        out,
         count=count,
         seed=seed,
-        scans=_digest(scans),
-        labelled=None if done is None else _digest(sorted(done)),
-        samples=SAMPLES,
-        strategy=NAMED if is_list else CHOSEN,
+        settings=settings,
+        selection=selection,
+        labelled=labelled,
+        names=names,
     )
-
-
-def _done(scans: Sequence[ScanFile], labelled: Sequence[Path], source: Path) -> set[ScanFile]:
-    """Return the scans that the data sets of labelled scans contain; refuse if all are."""
-    labelled_names = {scan.name for path in labelled for scan in find_scans(path)}
-    done = {scan for scan in scans if scan.name in labelled_names}
-    if len(done) == len(scans):
-        raise NoInputError(source, "has only labelled scans", "others to pick")
-    return done
-
-
-def _candidates(
-    scans: Sequence[ScanFile],
-    selection: ScanSelection,
-    labelled: Sequence[Path],
-    names: Path | None,
-) -> list[ScanFile]:
-    """Return the scans of a list of names, else evenly spaced ones.
-
-    Options that choose scans too are refused beside a list.
-    """
-    if names is None:
-        return evenly_spaced(scans, selection.limit or 0)
-    if selection.limit:
-        raise _chooses_too("selection.limit")
-    if labelled:
-        raise _chooses_too("labelled")
-    return named_scans(read_names(names), scans, str(names))
-
-
-def _chooses_too(name: str) -> UsageError:
-    """Return the error of an argument beside a list of names."""
-    problem = f"chooses scans, and so does {argument('names')}"
-    return UsageError(argument(name), problem, "one of both")
+    record = prepared.data_set.earlier(prepared.settings, overwrite=options.overwrite)
+    return PickPlan.from_prepared(prepared, record)
 
 
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
@@ -234,22 +207,10 @@ def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
     )
 
 
-def _digest(scans: Sequence[ScanFile]) -> str:
-    """Return the number of scans and a digest of their names and places."""
-    names = "\n".join(f"{scan.name} {scan.path}" for scan in scans)
-    digest = hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest()
-    return f"{len(scans)}, {digest[:16]}"
-
-
-def _chosen(
-    task: NetworkTask,
-    network: Network,
-    scans: Sequence[ScanFile],
-    settings: PickSettings,
-    done: set[ScanFile],
-    options: RunOptions,
-) -> PickRecord:
+def _chosen(task: NetworkTask, prepared: PreparedPick, options: RunOptions) -> PickRecord:
     """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
+    scans = prepared.scans
+    network = prepared.network
     summary = RunSummary(sensor=network.sensor, scans=scans)
     descriptions: dict[ScanFile, ScanDescription] = {}
 
@@ -260,8 +221,8 @@ def _chosen(
     failures = run_over_scans(task, scans, options, on_result=add).failures
     described = [descriptions[scan] for scan in scans if scan in descriptions]
     return PickRecord(
-        settings=settings_json(settings),
-        picked=_picked(described, done, settings),
+        settings=settings_json(prepared.settings),
+        picked=_picked(described, prepared.labelled, prepared.settings),
         failures=[failure.to_dict() for failure in failures],
         warnings=summary.finished().warnings(),
         scale=_scale(described, network.space) if described else None,
@@ -297,22 +258,12 @@ def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> Uncertain
     )
 
 
-def _files(record: PickRecord, scans: Sequence[ScanFile]) -> list[ScanFile]:
-    """Return the picked scans that are among those to choose from."""
-    files = {scan.name: scan for scan in scans}
-    return [files[scan.name] for scan in record.picked if scan.name in files]
-
-
 def _written(
-    task: NetworkTask,
-    data_set: PickedDataSet,
-    record: PickRecord,
-    scans: Sequence[ScanFile],
-    options: RunOptions,
-    space: LabelSpace,
+    task: NetworkTask, prepared: PreparedPick, record: PickRecord, options: RunOptions
 ) -> Outcome:
     """Write the missing files of a data set of picked scans."""
-    picked = _files(record, scans)
+    data_set = prepared.data_set
+    picked = prepared.files(record)
     pre_labels: dict[ScanFile, bytes] = {}
     frames: dict[ScanFile, Origin] = {}
 
@@ -327,24 +278,24 @@ def _written(
         # Existing files are not replaced, so incomplete poses would remain.
         data_set.write_poses(frames)
     data_set.write_pre_labels(record, pre_labels)
+    network_space = prepared.network.space
+    is_same = prepared.space.fits(network_space)
+    space = prepared.space if is_same else space_of([], network_space)
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
-    return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
+    return replace(outcome, failures=(*_failures(record, prepared.scans), *outcome.failures))
 
 
 def _add_files_of_tool(
-    data_set: PickedDataSet,
-    tool: LabellingTool | None,
-    record: PickRecord,
-    scans: Sequence[ScanFile],
-    sensor: Sensor,
-    by_poses: OriginsOfSource,
+    prepared: PreparedPick, tool: LabellingTool | None, record: PickRecord
 ) -> None:
     """Write the picked scans for a labelling tool, if any."""
     if tool is None:
         return
-    origins = by_poses.sample_origins(_files(record, scans), sensor)
-    write_for_tool(data_set, tool, record.picked, SensorPositions(sensor=sensor, origins=origins))
+    sensor = prepared.network.sensor
+    origins = prepared.origins.sample_origins(prepared.files(record), sensor)
+    positions = SensorPositions(sensor=sensor, origins=origins)
+    write_for_tool(prepared.data_set, tool, record.picked, positions)
 
 
 def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, ...]:

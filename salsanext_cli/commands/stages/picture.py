@@ -17,7 +17,7 @@ from salsanext_cli.commands.jobs.picture_task import (
     warn_of_unfit_scales,
 )
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.notices import NOTICE, demote_result_notices
 from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.sensors import sensor as named_sensor
@@ -95,7 +95,8 @@ def picture(
         query=query,
         options=options,
     )
-    sensor = run.recorded_sensor or fitted_view(chosen.scans, named_sensor("hdl64"))
+    with demote_result_notices():
+        sensor = run.recorded_sensor or fitted_view(chosen.scans, named_sensor("hdl64"))
     scales = run.scales(sensor, COLOURINGS)
     settings = run.settings(scales.used, sensor, chosen.space)
     return run.draw(settings, scales, sensor, record_scans=False)
@@ -165,13 +166,14 @@ def picture_scans(
         reader = settings.named_sensor() or settings.trained_sensor()
         settings = replace(settings, origin=origin_in_frame(origin, listed, reader))
     requested = settings.named_sensor()
-    sensor = fitted_view(
-        listed,
-        requested or settings.trained_sensor(),
-        None if requested else results.manifest.recorded_sensor(),
-        view=settings.fits_view,
-        mounting=settings.fits_mounting,
-    )
+    with demote_result_notices():
+        sensor = fitted_view(
+            listed,
+            requested or settings.trained_sensor(),
+            None if requested else results.manifest.recorded_sensor(),
+            view=settings.fits_view,
+            mounting=settings.fits_mounting,
+        )
     scales = run.scales(sensor, (HEIGHT, *COLOURINGS))
     if run.continued is not None and scale is None:
         warn_of_unfit_scales(results.root, scales)

@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Literal
 
 from salsanext_cli.commands.jobs.image_job import PredictImageJob
-from salsanext_cli.commands.jobs.label_rejection import LabelRejection
+from salsanext_cli.commands.jobs.plans.prediction_plan import PreparedPrediction, prepare_prediction
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.commands.jobs.predict_job import PredictJob
-from salsanext_cli.commands.jobs.prediction_plan import prepare_prediction
-from salsanext_cli.commands.jobs.run_plan import RunPlan
-from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.records import Origin
 from salsanext_cli.runs.fit.range_images import projected_sensor, range_image, sensor_of_images
@@ -27,8 +25,8 @@ from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.output_run import foreseen_run, output_run
-from salsanext_cli.runs.results.paths import ScanFile, with_outputs
+from salsanext_cli.runs.results.output_run import output_run
+from salsanext_cli.runs.results.paths import with_outputs
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, space_of
@@ -110,18 +108,8 @@ def predict_scans(
     network = prepared.network
     scans = prepared.scans
     rejection = prepared.rejection
-    summary = _new_summary(network, scans, prepared.recorded, rejection)
-    opening = output_run(
-        out,
-        "predict",
-        prepared.recorded,
-        prepared.folders,
-        scans,
-        overwrite=options.overwrite,
-        weights=settings.named_path,
-        options=prepared.options,
-    )
-    with opening as output, recorded_summary(summary, output, scans):
+    summary = _new_summary(prepared)
+    with prepared.opened() as output, recorded_summary(summary, output, scans):
         by_poses = prepared.origins.result_origins(output, scans, network.sensor)
         job = partial(PredictJob, knn=knn, output=output, reject=rejection, origins=by_poses)
         task = NetworkTask(
@@ -179,33 +167,14 @@ def plan_prediction(
         selection=selection,
         overwrite=options.overwrite,
     )
-    run = foreseen_run(
-        out,
-        "predict",
-        prepared.recorded,
-        prepared.folders,
-        prepared.scans,
-        overwrite=options.overwrite,
-    )
-    return RunPlan.from_run(
-        run,
-        prepared.network,
-        listed=prepared.listed,
-        scans=prepared.scans,
-        scans_of_shard=options.shard.select(prepared.scans),
-        folders=prepared.folders,
-    )
+    return RunPlan.from_network_run(prepared, options.shard)
 
 
-def _new_summary(
-    network: Network,
-    scans: Sequence[ScanFile],
-    recorded: PredictSettings,
-    rejection: LabelRejection | None,
-) -> RunSummary:
+def _new_summary(prepared: PreparedPrediction) -> RunSummary:
     """Return the summary of a run without any scan yet."""
-    threshold = rejection.risk if rejection else None
-    return RunSummary.from_network(network, scans, recorded.accuracy, threshold)
+    threshold = prepared.rejection.risk if prepared.rejection else None
+    accuracy = prepared.recorded.accuracy
+    return RunSummary.from_network(prepared.network, prepared.scans, accuracy, threshold)
 
 
 def predict_range_images(

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from salsanext_cli.commands.jobs.plans.prepared_run import PreparedRun
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.core.labelling import ProjectedScan, project_scan
 from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
@@ -15,7 +17,7 @@ from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.records.stage_settings import ProjectSettings
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.output_run import OutputRun, output_run
+from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_origins import (
     folders_of_origins,
@@ -69,6 +71,13 @@ class ProjectJob:
         return ScanSummary(file=file, check=scan.check)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedProjection(PreparedRun):
+    """Projection before its first scan."""
+
+    sensor: Sensor  # Fitted to the scans
+
+
 def project_scans(
     source: Path | Sequence[Path],
     out: Path,
@@ -102,16 +111,20 @@ def project_scans(
     -------
     Outcome
     """
-    listed = with_recorded_names(scans_of(source), out)
-    scans = choose(listed, selection, space_of(listed), source)
-    recorded = None if options.overwrite else Manifest(out).settings("project")
-    earlier = recorded.sensor if recorded else None
-    sensor = fitted_members(listed, sensor, earlier, view=fit, mounting=fit_mounting)
-    settings = ProjectSettings(sensor=sensor)
+    prepared = _prepared(
+        source,
+        out,
+        sensor=sensor,
+        fit=fit,
+        fit_mounting=fit_mounting,
+        selection=selection,
+        overwrite=options.overwrite,
+    )
+    listed = prepared.listed
+    scans = prepared.scans
+    sensor = prepared.sensor
     summary = RunSummary(sensor=sensor, scans=scans)
-    folders = (*FOLDERS, *folders_of_origins(out, "project", sensor))
-    run = output_run(out, "project", settings, folders, scans, overwrite=options.overwrite)
-    with run as output, recorded_summary(summary, output, scans):
+    with prepared.opened() as output, recorded_summary(summary, output, scans):
         origins = OriginsOfRun(out=out, stage="project", listed=listed, overwrite=options.overwrite)
         job = ProjectJob(
             sensor=sensor, output=output, origins=origins.result_origins(output, scans, sensor)
@@ -119,3 +132,71 @@ def project_scans(
         return run_over_scans(
             job, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )
+
+
+def plan_projection(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    sensor: Sensor,
+    fit: bool = False,
+    fit_mounting: bool = True,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> RunPlan:
+    """Return what `project_scans` would do with the same arguments; write nothing into `out`.
+
+    Parameters
+    ----------
+    source, out, sensor, fit, fit_mounting, selection, options
+        As for `project_scans`.
+
+    Returns
+    -------
+    RunPlan
+
+    Raises
+    ------
+    SalsanextError
+        What the run would refuse.
+    """
+    prepared = _prepared(
+        source,
+        out,
+        sensor=sensor,
+        fit=fit,
+        fit_mounting=fit_mounting,
+        selection=selection,
+        overwrite=options.overwrite,
+    )
+    run = prepared.foreseen()
+    plan = RunPlan.from_scans(prepared.listed, prepared.scans, options.shard, run.is_done)
+    return plan.with_results(prepared.scans, prepared.folders, prepared.sensor)
+
+
+def _prepared(
+    source: Path | Sequence[Path],
+    out: Path,
+    *,
+    sensor: Sensor,
+    fit: bool,
+    fit_mounting: bool,
+    selection: ScanSelection,
+    overwrite: bool,
+) -> PreparedProjection:
+    """Find the scans, and fit the sensor to them; arguments as of `project_scans`."""
+    listed = with_recorded_names(scans_of(source), out)
+    scans = choose(listed, selection, space_of(listed), source)
+    recorded = None if overwrite else Manifest(out).settings("project")
+    earlier = recorded.sensor if recorded else None
+    sensor = fitted_members(listed, sensor, earlier, view=fit, mounting=fit_mounting)
+    return PreparedProjection(
+        out=out,
+        stage="project",
+        listed=listed,
+        scans=scans,
+        recorded=ProjectSettings(sensor=sensor),
+        folders=(*FOLDERS, *folders_of_origins(out, "project", sensor)),
+        overwrite=overwrite,
+        sensor=sensor,
+    )

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.commands.stages.synth import SynthSettings, synthesise
+from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.texts import counted
 from salsanext_cli.io.label_spaces import label_space
@@ -41,7 +42,7 @@ def simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[
     """
     if not count:
         return []
-    if merged_into(label_space(), real.space) is None:
+    if not scan_counts_of_scenes(count, real.space):
         log.log(NOTICE, "no simulated scenes: their classes cannot be merged into your classes")
         return []
     sources = []
@@ -50,6 +51,26 @@ def simulated_scenes(folder: Path, count: int, real: Source, jobs: int) -> list[
         _simulate(root, count, kind, jobs)
         sources.append(replace(further_source(root, real.space, real.sensor), simulated=True))
     return sources
+
+
+def scan_counts_of_scenes(count: int, space: LabelSpace) -> list[int]:
+    """Return the number of scans of each simulated data set that a training gets.
+
+    Parameters
+    ----------
+    count : int
+        Number of scenes for each kind of sensor.
+    space : LabelSpace
+        Classes of the training.
+
+    Returns
+    -------
+    list of int
+        Empty if the simulated classes cannot be merged into these.
+    """
+    if not count or merged_into(label_space(), space) is None:
+        return []
+    return [count * SCANS_OF_STREET] * len(RIGS)
 
 
 def _simulate(root: Path, count: int, kind: str, jobs: int) -> None:

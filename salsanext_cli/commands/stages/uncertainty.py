@@ -3,11 +3,12 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.commands.jobs.run_plan import RunPlan
+from salsanext_cli.commands.jobs.plans.prepared_run import PreparedNetworkRun
+from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.commands.jobs.uncertainty_job import UncertaintyJob
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import OutputError
@@ -31,8 +32,7 @@ from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import StageSettings, UncertaintySettings
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.output_run import foreseen_run, output_run
-from salsanext_cli.runs.results.paths import ERROR, ScanFile
+from salsanext_cli.runs.results.paths import ERROR
 from salsanext_cli.runs.results.recorded_origins import folders_of_origins
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
@@ -91,17 +91,7 @@ def uncertainty(
     network = prepared.network
     scans = prepared.scans
     summary = RunSummary.from_network(network, scans)
-    run = output_run(
-        out,
-        "uncertainty",
-        prepared.recorded,
-        prepared.folders,
-        scans,
-        overwrite=options.overwrite,
-        weights=settings.named_path,
-        options=settings.named(),
-    )
-    with run as output, recorded_summary(summary, output, scans):
+    with prepared.opened() as output, recorded_summary(summary, output, scans):
         by_poses = prepared.origins.result_origins(output, scans, network.sensor)
         job = partial(UncertaintyJob, knn=knn, method=method, output=output, origins=by_poses)
         resolved = resolved_for(settings, network, scans)
@@ -150,34 +140,7 @@ def plan_uncertainty(
         selection=selection,
         overwrite=options.overwrite,
     )
-    run = foreseen_run(
-        out,
-        "uncertainty",
-        prepared.recorded,
-        prepared.folders,
-        prepared.scans,
-        overwrite=options.overwrite,
-    )
-    return RunPlan.from_run(
-        run,
-        prepared.network,
-        listed=prepared.listed,
-        scans=prepared.scans,
-        scans_of_shard=options.shard.select(prepared.scans),
-        folders=prepared.folders,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PreparedUncertainty:
-    """A run before its first scan."""
-
-    network: Network  # Fitted to the scans
-    listed: Sequence[ScanFile]  # All scans of the source
-    scans: Sequence[ScanFile]  # Those that were selected
-    origins: OriginsOfRun  # Origins of registered scans
-    recorded: UncertaintySettings  # Settings to record
-    folders: tuple[str, ...]  # Folders of the results
+    return RunPlan.from_network_run(prepared, options.shard)
 
 
 def _prepared(
@@ -189,7 +152,7 @@ def _prepared(
     method: UncertaintyMethod,
     selection: ScanSelection,
     overwrite: bool,
-) -> PreparedUncertainty:
+) -> PreparedNetworkRun:
     """Load and fit the network, and find the scans; arguments as of `uncertainty`."""
     network = settings.for_sampling().load()
     listed = with_recorded_names(scans_of(source), out)
@@ -218,13 +181,18 @@ def _prepared(
     )
     folders = _folders(out, network, method, labels_too=labels_too)
     _require_network_of_labels(out, recorded)
-    return PreparedUncertainty(
-        network=network,
+    return PreparedNetworkRun(
+        out=out,
+        stage="uncertainty",
         listed=listed,
         scans=scans,
-        origins=origins,
         recorded=recorded,
         folders=folders,
+        overwrite=overwrite,
+        weights=settings.named_path,
+        options=settings.named(),
+        network=network,
+        origins=origins,
     )
 
 

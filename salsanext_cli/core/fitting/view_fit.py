@@ -12,7 +12,7 @@ from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.sensor_groups import SensorGroup, sensor_groups
 from salsanext_cli.core.fitting.sensor_texts import view_text
-from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.notices import NOTICE, result_level
 from salsanext_cli.core.sensors.sensor import FIELD_OF_VIEW, FittedView, Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument
@@ -123,7 +123,7 @@ def _fitted_view(
         log.log(NOTICE, "sensor fitted to %s: %s", count, view_text(fitted))
     if sensor.ego_box is None and 0 < len(scans) < MIN_SCANS and not fitted.registered:
         text = "own vehicle not searched for in %s: that needs %d of one drive, or %s with its box"
-        log.log(NOTICE, text, count, MIN_SCANS, argument("ego"))
+        log.log(result_level(), text, count, MIN_SCANS, argument("ego"))
     return fitted
 
 

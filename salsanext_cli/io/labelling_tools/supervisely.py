@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Supervisely: it opens PCD files with names of their labels, and saves points of figures."""
 
+import logging
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,9 +10,10 @@ import numpy as np
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import FormatError, LabelError
+from salsanext_cli.core.notices import warn_once
 from salsanext_cli.core.plain_data import Json
 from salsanext_cli.core.records import Float, Scan
-from salsanext_cli.core.texts import counted, first_few, quoted
+from salsanext_cli.core.texts import counted, first_few, quoted, with_hint
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present, refusing_damage
 from salsanext_cli.io.formats.columns import coordinates
@@ -42,6 +44,12 @@ ANNOTATIONS = "ann"  # Folder of their annotations
 ANNOTATION = ".pcd.json"  # End of the name of an annotation
 POINTS = "point_cloud"  # Geometry of a figure that is a set of points
 EXPECTED = "an annotation of a point cloud"
+WITHOUT_CLOUD = (
+    "annotations without point clouds: their numbers of points are taken for the order of each scan"
+)
+HINT_OF_CLOUD = f"import the exported data set with its folder {CLOUDS} to compare the points"
+
+log = logging.getLogger(__name__)
 
 
 class Supervisely(LabellingTool):
@@ -127,6 +135,8 @@ def _read_annotation(path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
     """Read the labels of the points of figures; those of no figure are unlabelled."""
     cloud = path.parent.with_name(CLOUDS) / path.name.removesuffix(".json")
     is_exported = path.parent.name == ANNOTATIONS and present(cloud)
+    if not is_exported:
+        warn_once(log, with_hint(WITHOUT_CLOUD, HINT_OF_CLOUD))
     points = coordinates(pcd_columns(cloud), cloud) if is_exported else scan.points
     with refusing_damage(path, EXPECTED):
         indices_of_class = _indices_of_classes(read_json_object(path, EXPECTED), path)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Drive by which a fusion fuses a sequence, and its record beside the fused labels."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.fusion.drive import Drive
+from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.poses import POSES
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.files.json_files import encode_json, read_json
@@ -53,15 +55,47 @@ def drive_of_run(
     """
     if isinstance(drive_by_poses, SalsanextError):
         raise drive_by_poses
-    folder = fused.root / "sequences" / files[0].sequence
-    if fused.foreign_files([folder / POSES]):
-        raise foreign_file(folder / POSES)
+    folder = _folder_of_drive(files, fused)
     earlier = _earlier_drive(folder, files, single, fused)
     drive = drive_by_poses or earlier
     if drive is None:
         drive = computed_drive(files, sensor, recorded_origins(single.root, sensor))
     _record_drive(drive, folder, files, single, fused)
     return drive
+
+
+def foresee_drive(
+    files: Sequence[ScanFile],
+    drive_by_poses: Drive | SalsanextError | None,
+    single: OutputRun,
+    fused: OutputRun,
+) -> bool:
+    """Refuse what `drive_of_run` refuses; return whether earlier results stay.
+
+    Nothing is written, and poses that are not recorded are not computed. Arguments as of
+    `drive_of_run`.
+    """
+    if isinstance(drive_by_poses, SalsanextError):
+        raise drive_by_poses
+    folder = _folder_of_drive(files, fused)
+    drive = drive_by_poses or _earlier_drive(folder, files, single, fused)
+    recorded = read_json(folder / DRIVE)
+    if drive is None and recorded is not None and not fused.overwrite:
+        return True  # Only the poses are gone, which are computed again
+    if drive is None:
+        import_extra("small_gicp", "fuse")
+    elif recorded == drive_record(drive, _stems(files)):
+        return not fused.overwrite
+    _require_replaceable(folder, recorded, files[0].sequence, single, fused)
+    return False
+
+
+def _folder_of_drive(files: Sequence[ScanFile], fused: OutputRun) -> Path:
+    """Return the folder of the record of a drive; refuse poses there that somebody changed."""
+    folder = fused.root / "sequences" / files[0].sequence
+    if fused.foreign_files([folder / POSES]):
+        raise foreign_file(folder / POSES)
+    return folder
 
 
 def _earlier_drive(
@@ -88,17 +122,28 @@ def _record_drive(
         if recorded == content:
             return
         name = files[0].sequence
-        results_of_single = _results_of(single, name)
-        results_of_fused = _results_of(fused, name)
-        if (results_of_single or results_of_fused) and not fused.overwrite:
-            if recorded is None and not results_of_fused:
-                raise earlier_fusion(single, fused.root, name)
-            raise other_drive(folder / DRIVE, single)
-        single.remove_written(results_of_single)
-        fused.remove_written(results_of_fused)
+        _require_replaceable(folder, recorded, name, single, fused)
+        single.remove_written(_results_of(single, name))
+        fused.remove_written(_results_of(fused, name))
         fused.write(folder / POSES, encode_poses(drive.poses))
         # Last: without the record, a run that was killed before begins again.
         fused.write(folder / DRIVE, encode_json(content))
+
+
+def _require_replaceable(
+    folder: Path,
+    recorded: Mapping[str, Any] | None,
+    sequence: str,
+    single: OutputRun,
+    fused: OutputRun,
+) -> None:
+    """Refuse to replace results of a sequence by another drive than the recorded one, if any."""
+    results_of_fused = _results_of(fused, sequence)
+    if fused.overwrite or not (results_of_fused or _results_of(single, sequence)):
+        return
+    if recorded is None and not results_of_fused:
+        raise earlier_fusion(single, fused.root, sequence)
+    raise other_drive(folder / DRIVE, single)
 
 
 def _stems(files: Sequence[ScanFile]) -> list[str]:

@@ -4,7 +4,6 @@
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.core.records import Origin, Scan
@@ -58,14 +57,26 @@ def digest_of_frames(scans: Iterable[ScanFile]) -> str | None:
     return hashlib.sha256(content).hexdigest()[:24]
 
 
-def add_frames(owned: OwnedFolder, frames: Mapping[ScanFile, Origin]) -> None:
-    """Write the frames of scans that were moved, beside those that are written already."""
-    ordered = sorted(scan for scan, frame in frames.items() if frame != NO_SHIFT)
-    for name, group in groupby(ordered, lambda scan: scan.sequence):
+def add_frames(
+    owned: OwnedFolder, frames: Mapping[ScanFile, Origin], rewritten: Iterable[ScanFile] = ()
+) -> None:
+    """Write the frames of scans that were moved, beside those that are written already.
+
+    `rewritten`: scans whose files are written again, so that their earlier frames do not stay.
+    """
+    moved: dict[str, dict[str, Origin]] = {}
+    for scan, frame in sorted(frames.items()):
+        if frame != NO_SHIFT:
+            moved.setdefault(scan.sequence, {})[scan.stem] = frame
+    outdated = {(scan.sequence, scan.stem) for scan in rewritten}
+    for name in sorted({*moved, *(sequence for sequence, _ in outdated)}):
         path = owned.root / "sequences" / name / FRAMES
         recorded = read_frames(path)
-        combined = {scan.stem: frames[scan] for scan in group} | recorded
-        if combined != recorded:
+        stays = {stem: recorded[stem] for stem in recorded if (name, stem) not in outdated}
+        combined = moved.get(name, {}) | stays
+        if not combined:
+            owned.remove_written([path])
+        elif combined != recorded:
             owned.write(path, encode_frames(combined))
 
 

@@ -257,10 +257,7 @@ class OutputRun(OwnedFolder):
         return results
 
     def _results_in(self, folders: Iterable[str]) -> list[Path]:
-        paths: list[Path] = []
-        for name in folders:
-            paths += find_outputs(self.root, name).values()
-        return paths
+        return [path for name in folders for path in find_outputs(self.root, name).values()]
 
 
 def encode_array(array: npt.NDArray[Any]) -> bytes:
@@ -371,9 +368,10 @@ def foreseen_run(
     scans: Sequence[ScanFile],
     *,
     overwrite: bool,
+    record_scans: bool = True,
 ) -> OutputRun:
     """Return the run that `output_run` would begin, without writing; arguments as of it."""
-    sources = _scan_sources(out, scans)
+    sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
     writes = tuple(sorted(run.folders))
     new = StageRecord(stage=stage, settings=settings_json(settings), writes=writes, scans=sources)

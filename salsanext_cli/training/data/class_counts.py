@@ -143,8 +143,8 @@ def class_counts(
     counted_training = count_classes(first, jobs)
     members = set(validated)
     is_validated = [file in members for file in validation.files]
-    _require_scored(first.space, validated, counted_validation.points[is_validated])
-    _require_scored(first.space, first.files, counted_training.points)
+    require_scored(first.space, validated, counted_validation.points[is_validated])
+    require_scored(first.space, first.files, counted_training.points)
     warnings = _warnings(first, [*counted_training.summaries, *counted_validation.summaries])
     digests = list(counted_training.digests)
     points = counted_training.points.sum(axis=0)
@@ -169,7 +169,7 @@ def class_counts(
     )
 
 
-def _require_scored(space: LabelSpace, scans: Sequence[ScanFile], counts: Counts) -> None:
+def require_scored(space: LabelSpace, scans: Sequence[ScanFile], counts: Counts) -> None:
     """Refuse scans without a point of a scored class; `counts` (F, C) are theirs."""
     points = counts.sum(axis=0)
     if not scans or points[space.scored].any():

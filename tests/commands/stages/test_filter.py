@@ -84,6 +84,15 @@ def test_scans_that_were_moved_out_of_a_map_keep_their_frames(apply, world, tmp_
     (world.dataset / "sequences/08" / FRAMES).write_bytes(written)
     apply(drop=["person"])
     assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == written
+    moved = encode_frames({"000001": (1.0, 2.0, 3.0)})
+    (world.dataset / "sequences/08" / FRAMES).write_bytes(moved)
+    apply(drop=["person"])
+    assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == written
+    apply(drop=["person"], options=RunOptions(overwrite=True))
+    assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == moved
+    (world.dataset / "sequences/08" / FRAMES).unlink()
+    apply(drop=["person"], options=RunOptions(overwrite=True))
+    assert not (tmp_path / "to/sequences/08" / FRAMES).exists()
 
 
 def test_a_file_of_the_name_of_frames_loses_no_results(apply, world, tmp_path, caplog):

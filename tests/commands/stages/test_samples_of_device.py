@@ -12,7 +12,8 @@ from calls import calls_of
 from safetensors.torch import load_file
 from scans import SMALL, refused, write_sequence
 
-from salsanext_cli.commands.stages.train import NewTraining, TrainResult, train
+from salsanext_cli.commands.stages.new_training import NewTraining
+from salsanext_cli.commands.stages.train import TrainResult, train
 from salsanext_cli.core.errors import OutputError, TrainingError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.training import fit

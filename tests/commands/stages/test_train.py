@@ -463,7 +463,8 @@ def test_processes_that_prepare_samples(
     stage = sys.modules["salsanext_cli.commands.stages.train"]
     monkeypatch.setattr(stage, "cores", lambda: cores)
     monkeypatch.setattr(stage, "process_group", group)
-    monkeypatch.setattr(stage, "class_counts", lambda *_: SimpleNamespace(warnings=[]))
+    new_training = sys.modules["salsanext_cli.commands.stages.new_training"]
+    monkeypatch.setattr(new_training, "class_counts", lambda *_: SimpleNamespace(warnings=[]))
     monkeypatch.setattr(Setup, "training", end)
     with pytest.raises(Stopped):
         go(dataset, tmp_path / "run", jobs=jobs)

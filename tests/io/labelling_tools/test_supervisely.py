@@ -10,6 +10,8 @@ from edited_clouds import write_pcd
 from picked_for_tools import CHANGED, POINTS, SPACE, PickedForTool
 from scans import files_below
 
+from salsanext_cli.core.notices import warn_once
+
 SCAN = ("08", "000011")
 NAME = "08_000011.pcd"
 
@@ -81,7 +83,10 @@ def test_the_platform_gets_the_points_of_each_class_by_name(picked):
 
 
 @pytest.mark.parametrize("has_clouds", [True, False])
-def test_three_changed_labels_of_an_exported_project_come_back_exactly(picked, edited, has_clouds):
+def test_three_changed_labels_of_an_exported_project_come_back_exactly(
+    picked, edited, has_clouds, caplog
+):
+    warn_once.cache_clear()
     for scan in picked.scans:
         name = f"{'_'.join(scan)}.pcd"
         cloud = picked.folder / name
@@ -89,6 +94,7 @@ def test_three_changed_labels_of_an_exported_project_come_back_exactly(picked, e
         exported(edited, name, classes, cloud=cloud if has_clouds else None)
     found = picked.import_from(edited)
     assert (found.failures, found.unedited) == ([], [])
+    assert caplog.text.count("without point clouds") == (0 if has_clouds else 1)
     for scan in picked.scans:
         np.testing.assert_array_equal(picked.labels(scan), picked.corrected(scan))
         assert (picked.labels(scan) != picked.before[scan]).sum() == 3

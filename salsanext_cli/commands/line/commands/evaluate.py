@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.option_fields import option
 from salsanext_cli.commands.line.output import console, summary
+from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_results
+from salsanext_cli.core.notices import demote_reader_notices
 from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.results.query import ResultQuery
 
@@ -36,6 +38,7 @@ def evaluate(
     ),
     query: ResultQuery,
     running: declarations.ReadOnlyRunOptions,
+    dry_run: bool = declarations.DRY_RUN,
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
@@ -51,10 +54,16 @@ def evaluate(
         parse_limits,
     )
     from salsanext_cli.commands.stages.evaluate import evaluate as stage
+    from salsanext_cli.commands.stages.evaluate import plan_evaluation
 
     lower_limits = parse_limits(fail_under, FAIL_UNDER)
     upper_limits = parse_limits(fail_over, FAIL_OVER)
     limits = (*lower_limits, *upper_limits)
+    if dry_run:
+        with demote_reader_notices():
+            plan = plan_evaluation(out, by_distance=by_distance, limits=limits, query=query)
+        print_plan("eval", plan, out, output)
+        return
     with over_results("eval", running, output.quiet, at_end=True) as options:
         evaluation = stage(
             out, by_distance=by_distance, limits=limits, query=query, options=options

@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.expansion import Without
 from salsanext_cli.commands.line.options.option_fields import (
     argument,
@@ -13,7 +14,9 @@ from salsanext_cli.commands.line.options.option_fields import (
     option_group,
 )
 from salsanext_cli.commands.line.output import console, summary
+from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_results
+from salsanext_cli.core.notices import demote_reader_notices
 from salsanext_cli.core.texts import counted
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import ResultQuery
@@ -54,14 +57,28 @@ def filter_command(
     points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
+    dry_run: bool = declarations.DRY_RUN,
     output: console.Output,
 ) -> None:
     """Copy scans or ROS bags without some points, chosen by class or by probability of error.
 
     Example: salsanext filter out/ static/ --drop moving
     """
-    from salsanext_cli.commands.stages.filter import filter_scans
+    from salsanext_cli.commands.stages.filter import filter_scans, plan_filter
 
+    if dry_run:
+        with demote_reader_notices():
+            plan = plan_filter(
+                out,
+                target,
+                drop=points.drop,
+                keep=points.keep,
+                max_error=points.max_error,
+                query=query,
+                options=running,
+            )
+        print_plan("filter", plan, target, output)
+        return
     with over_results("filter", running, output.quiet) as options:
         outcome = filter_scans(
             out,

@@ -9,8 +9,10 @@ from salsanext_cli.commands.line.options.expansion import Without
 from salsanext_cli.commands.line.options.option_fields import argument, option
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import command_on_labels
+from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_results
 from salsanext_cli.core.fusion.reach import FusionReach
+from salsanext_cli.core.notices import demote_reader_notices
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import ResultQuery
 
@@ -30,16 +32,22 @@ def fuse(
     reach: FusionReach,
     query: Annotated[ResultQuery, Without({"label_space", "classes"})],
     running: RunOptions,
+    dry_run: bool = declarations.DRY_RUN,
     output: console.Output,
 ) -> None:
     """Improve the labels of a drive: scans that overlap vote on each point.
 
     Example: salsanext fuse out/
     """
-    from salsanext_cli.commands.stages.fuse import fuse_results
+    from salsanext_cli.commands.stages.fuse import fuse_results, plan_fusion
     from salsanext_cli.runs.results.paths import FUSED
 
     target = target or out / FUSED
+    if dry_run:
+        with demote_reader_notices():
+            plan = plan_fusion(out, target, poses=poses, reach=reach, query=query, options=running)
+        print_plan("fuse", plan, target, output)
+        return
     with over_results("fuse", running, output.quiet) as options:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=options)
     following = command_on_labels(outcome, target, query.selection.split)

@@ -19,6 +19,7 @@ from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
 from salsanext_cli.commands.line.values.typed_values import typed_position, typed_share
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.notices import demote_result_notices
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -141,17 +142,18 @@ def predict(
     if dry_run:
         if range_images is not None:
             raise UsageError("--dry-run", "plans no range images", "scans as the source")
-        plan = plan_prediction(
-            source,
-            out,
-            settings=settings,
-            knn=knn,
-            extras=extras.names,
-            reject=extras.threshold,
-            origin=position,
-            selection=selection,
-            options=running,
-        )
+        with demote_result_notices():
+            plan = plan_prediction(
+                source,
+                out,
+                settings=settings,
+                knn=knn,
+                extras=extras.names,
+                reject=extras.threshold,
+                origin=position,
+                selection=selection,
+                options=running,
+            )
         print_plan("predict", plan, out, output)
         return
     with over_scans("predict", running, output.quiet) as options:

@@ -10,8 +10,10 @@ from salsanext_cli.commands.line.options import declarations
 from salsanext_cli.commands.line.options.expansion import Without
 from salsanext_cli.commands.line.output import console, summary
 from salsanext_cli.commands.line.output.next_command import next_command
+from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_scans
 from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
+from salsanext_cli.core.notices import demote_result_notices
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.scan_selection import ScanSelection
@@ -32,6 +34,7 @@ def project(
         declarations.Network, Without({"device", "precision", "engine", "intensity"})
     ],
     running: RunOptions,
+    dry_run: bool = declarations.DRY_RUN,
     strict: bool = declarations.STRICT,
     output: console.Output,
 ) -> None:
@@ -39,12 +42,25 @@ def project(
 
     Example: salsanext project seq/velodyne out/
     """
-    from salsanext_cli.commands.stages.project import project_scans
+    from salsanext_cli.commands.stages.project import plan_projection, project_scans
 
     places = scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
     out = places.out
     sensor = settings.named_sensor() or settings.trained_sensor()
+    if dry_run:
+        with demote_result_notices():
+            plan = plan_projection(
+                source,
+                out,
+                sensor=sensor,
+                fit=settings.fits_view,
+                fit_mounting=settings.fits_mounting,
+                selection=selection,
+                options=running,
+            )
+        print_plan("project", plan, out, output)
+        return
     with over_scans("project", running, output.quiet) as options:
         outcome = project_scans(
             source,

@@ -16,6 +16,7 @@ from salsanext_cli.commands.line.options.option_fields import (
 )
 from salsanext_cli.commands.line.output import console
 from salsanext_cli.commands.line.output.interruption import on_interruption, require_uninterrupted
+from salsanext_cli.commands.line.output.printed_plan import print_training_plan
 from salsanext_cli.commands.line.output.progress import progress_display
 from salsanext_cli.commands.line.values.typed_values import typed_sensor
 from salsanext_cli.core.texts import counted, percentage
@@ -100,12 +101,14 @@ def train(
         default=False,
     ),
     overwrite: bool = declarations.OVERWRITE,
+    dry_run: bool = declarations.DRY_RUN,
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
 
     Example: salsanext train scenes/ runs/street --recipe street
     """
+    from salsanext_cli.commands.stages.train import plan_training
     from salsanext_cli.commands.stages.train import train as stage
     from salsanext_cli.training.distributed import group_of_environment
     from salsanext_cli.training.run_folder import resumption
@@ -114,6 +117,27 @@ def train(
     if not group_of_environment().is_main:
         output = console.Output(quiet=True)
         console.log_to_stderr(quiet=True)
+    recipe = start.changed_recipe()
+    sensor = typed_sensor(start.sensor)
+    space = named_label_space(label_space)
+    weights = weights_file(start.weights) if start.weights else None
+    if dry_run:
+        plan = plan_training(
+            dataset,
+            run,
+            recipe=recipe,
+            sensor=sensor,
+            space=space,
+            device=device,
+            samples=samples,
+            jobs=jobs,
+            weights=weights,
+            overwrite=overwrite,
+            also=start.also or (),
+            tensorboard=tensorboard,
+        )
+        print_training_plan(plan, run, output)
+        return
     with (
         progress_display("train", output.quiet, unit="steps") as bar,
         on_interruption(lambda: resumption(run)),
@@ -121,13 +145,13 @@ def train(
         result = stage(
             dataset,
             run,
-            recipe=start.changed_recipe(),
-            sensor=typed_sensor(start.sensor),
-            space=named_label_space(label_space),
+            recipe=recipe,
+            sensor=sensor,
+            space=space,
             device=device,
             samples=samples,
             jobs=jobs,
-            weights=weights_file(start.weights) if start.weights else None,
+            weights=weights,
             overwrite=overwrite,
             also=start.also or (),
             tensorboard=tensorboard,

@@ -15,6 +15,7 @@ from salsanext_cli.commands.line.output.printed_plan import print_plan
 from salsanext_cli.commands.line.output.progress import over_scans
 from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
+from salsanext_cli.core.notices import demote_result_notices
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 
@@ -56,15 +57,16 @@ def uncertainty(
     settings = replace(settings, classes=classes)
     method = UncertaintyMethod(samples, seed, aleatoric)
     if dry_run:
-        plan = plan_uncertainty(
-            source,
-            out,
-            settings=settings,
-            knn=knn,
-            method=method,
-            selection=selection,
-            options=running,
-        )
+        with demote_result_notices():
+            plan = plan_uncertainty(
+                source,
+                out,
+                settings=settings,
+                knn=knn,
+                method=method,
+                selection=selection,
+                options=running,
+            )
         print_plan("uncertainty", plan, out, output)
         return
     with over_scans("uncertainty", running, output.quiet) as options:

@@ -111,7 +111,7 @@ JOBS = jobs_option()
 CLUSTER = _option_of(RunOptions, "cluster")
 OVERWRITE = _option_of(RunOptions, "overwrite")
 DRY_RUN = running_option(
-    "Print the scans to do, the sensor and the size; compute nothing.", default=False
+    "Print what the command would do, and the size of its results; write nothing.", default=False
 )
 STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]

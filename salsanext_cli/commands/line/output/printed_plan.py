@@ -8,7 +8,8 @@ from salsanext_cli.commands.line.output import console
 from salsanext_cli.core.texts import counted
 
 if TYPE_CHECKING:
-    from salsanext_cli.commands.jobs.run_plan import RunPlan
+    from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
+    from salsanext_cli.commands.jobs.plans.training_plan import TrainingPlan
 
 
 def print_plan(stage: str, plan: "RunPlan", out: Path, output: console.Output) -> None:
@@ -17,9 +18,36 @@ def print_plan(stage: str, plan: "RunPlan", out: Path, output: console.Output) -
 
     output.result({"stage": stage, "out": str(out), **plan.to_dict()})
     scans = counted(plan.scans, "scan")
-    output.print(f"{stage}: {scans} found, {plan.done:,} done already, {plan.todo:,} to do → {out}")
-    for text in dict.fromkeys(image_text(sensor, plan.trained) for sensor in plan.sensor.members):
-        output.print(f"image: {text}")
-    size = f"{plan.todo * plan.bytes_per_scan / 1e6:,.1f} MB"
-    points = f"scans of {plan.points_per_scan:,} points"
-    output.print(f"results: {size} for {points}; nothing was computed or written into {out}")
+    todo = f"{len(plan.todo):,} to do"
+    output.print(f"{stage}: {scans} found, {plan.done:,} done already, {todo} → {out}")
+    for line in plan.lines():
+        output.print(line)
+    if plan.sensor is not None:
+        members = plan.sensor.members
+        for text in dict.fromkeys(image_text(sensor, plan.trained) for sensor in members):
+            output.print(f"image: {text}")
+    output.print(f"{_size_text(plan)}nothing was computed or written into {out}")
+
+
+def _size_text(plan: "RunPlan") -> str:
+    """Return the size of the results, followed by a semicolon; nothing if it is unknown."""
+    if plan.size is None:
+        return ""
+    limit = "at most " if plan.is_limit else ""
+    points = ""
+    if plan.points_per_scan is not None:
+        points = f" for scans of {plan.points_per_scan:,} points"
+    return f"results: {limit}{plan.size / 1e6:,.1f} MB{points}; "
+
+
+def print_training_plan(plan: "TrainingPlan", run: Path, output: console.Output) -> None:
+    """Print what a training in a run folder would do."""
+    from salsanext_cli.core.fitting.sensor_texts import image_text
+
+    output.result({"stage": "train", "run": str(run), **plan.to_dict()})
+    scans, *lines = plan.lines()
+    output.print(f"train: {scans} → {run}")
+    for line in [*lines, f"image: {image_text(plan.sensor)}"]:
+        output.print(line)
+    size = f"{plan.size / 1e6:,.1f} MB"
+    output.print(f"weights and checkpoints: {size}; nothing was trained or written into {run}")

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
 """What `predict` decides before the first scan: network, scans, folders."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from salsanext_cli.commands.jobs.label_rejection import LabelRejection, label_rejection
+from salsanext_cli.commands.jobs.plans.prepared_run import PreparedNetworkRun
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
@@ -19,45 +20,19 @@ from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile
+from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE
 from salsanext_cli.runs.results.recorded_origins import folders_of_origins
 from salsanext_cli.runs.results.scan_selection import ScanSelection
 from salsanext_cli.runs.results.selection import choose, scans_of, space_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PreparedPrediction:
-    """A prediction before its first scan.
+class PreparedPrediction(PreparedNetworkRun):
+    """Prediction before its first scan; the labels are the last of its folders."""
 
-    Attributes
-    ----------
-    settings : NetworkSettings
-        Settings of the network, with the origin in the frame of the scans.
-    options : mapping of str to object
-        Settings that the user named, by argument.
-    network : Network
-        Network, fitted to the scans.
-    listed, scans : sequence of ScanFile
-        All scans of the source, and those that were selected.
-    origins : OriginsOfRun
-        Origins of registered scans.
-    rejection : LabelRejection, optional
-        Rejection of labels.
-    recorded : PredictSettings
-        Settings to record.
-    folders : tuple of str
-        Folders of the results, the labels last.
-    """
-
-    settings: NetworkSettings
-    options: Mapping[str, object]
-    network: Network
-    listed: Sequence[ScanFile]
-    scans: Sequence[ScanFile]
-    origins: OriginsOfRun
-    rejection: LabelRejection | None
+    settings: NetworkSettings  # With the origin in the frame of the scans
+    rejection: LabelRejection | None  # Rejection of labels
     recorded: PredictSettings
-    folders: tuple[str, ...]
 
 
 def prepare_prediction(
@@ -91,17 +66,20 @@ def prepare_prediction(
     )
     rejection = None if reject is None else label_rejection(reject, settings, network, knn)
     extras = _possible_extras(extras, rejection, network)
-    recorded = _recorded_settings(network, knn, extras, rejection)
     return PreparedPrediction(
-        settings=settings,
-        options=typed,
-        network=network,
+        out=out,
+        stage="predict",
         listed=listed,
         scans=scans,
-        origins=origins,
-        rejection=rejection,
-        recorded=recorded,
+        recorded=_recorded_settings(network, knn, extras, rejection),
         folders=_folders(out, network, extras),
+        overwrite=overwrite,
+        weights=settings.named_path,
+        options=typed,
+        network=network,
+        origins=origins,
+        settings=settings,
+        rejection=rejection,
     )
 
 
