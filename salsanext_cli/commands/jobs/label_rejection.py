@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from salsanext_cli.core.engines.device import arithmetic_in, is_int8
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
@@ -134,10 +135,14 @@ def _not_covered(
     problem = f"the guarantee of `{setting('reject', 'risk')}` does not cover other labels"
     if name not in KEY_OF:
         return UsageError(argument(name), problem, hint=f"omit {argument(name)}")
+    hint = "use the option as for `tune risk`, or run `tune risk` again"
     if name != "sensor":
         key = KEY_OF[name]
         tuned = as_typed(name, risk.settings.get(key))
         current = as_typed(name, labels_depend_on(settings, network).get(key))
         problem = f"the threshold was chosen with {tuned}, this run has {current}"
-    hint = "use the option as for `tune risk`, or run `tune risk` again"
+        if is_int8(tuned) and is_int8(current):
+            cpus = f"a CPU with {arithmetic_in(tuned)}, this one has {arithmetic_in(current)}"
+            problem = f"the threshold was chosen in int8 on {cpus}"
+            hint = "predict on a CPU of that kind, or run `tune risk` again on this one"
     return UsageError(argument(name), problem, hint=hint)
