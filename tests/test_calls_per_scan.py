@@ -133,7 +133,7 @@ def unrendered(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("commands", "scans"),
     [
-        (QUICK, 12),
+        (QUICK, 8),
         pytest.param(THOROUGH, 60, marks=[pytest.mark.slow, pytest.mark.long]),
         pytest.param(WITH_SAMPLES, 20, marks=[pytest.mark.slow, pytest.mark.long]),
         pytest.param(WITH_PICTURES, 12, marks=pytest.mark.slow),

@@ -65,9 +65,13 @@ def test_the_three_lines_as_typed(tmp_path, monkeypatch):
     assert len(np.unique(vertex["green"])) > 20
 
 
+@pytest.mark.slow
 @pytest.mark.real
 def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
-    """Published weights on real scans, at a quarter of the width."""
+    """Published weights on real scans, at a quarter of the width.
+
+    `test_in_three_steps_or_in_one_gives_the_same_bytes` has random weights and small scans.
+    """
     import_weights(golden / "SalsaNext", tmp_path / "w.safetensors", half=True)
     small = sensor("hdl64-512")
     network = NetworkSettings(tmp_path / "w.safetensors", "cpu", sensor=small)
@@ -144,11 +148,15 @@ def test_a_hall_has_labels_of_low_confidence(real_data, tmp_path):
 
 @pytest.mark.real
 @on_each_device
-@pytest.mark.parametrize("width", [512, pytest.param(1024, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("width", [512, 1024])
+@pytest.mark.slow
 def test_real_scans_are_labelled_on_a_device_as_by_the_kernels(
     real_data, tmp_path, monkeypatch, device, width
 ):
-    """At most one label in 100 000 may differ; errors have other orders of sums."""
+    """At most one label in 100 000 may differ; errors have other orders of sums.
+
+    `tests/core/on_device` compares results of small scans, and pixels of real ones.
+    """
     source = real_data / "data/semantickitti/sequences/08"
     settings = NetworkSettings(device="cpu", engine="torch", precision="float32", width=width)
     few = {"extras": ("uncertainty/error",), "selection": ScanSelection(limit=2)}

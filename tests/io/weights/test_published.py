@@ -190,8 +190,9 @@ def test_ours_are_stored_again_in_half_the_size(weights, tmp_path):
 
 
 @pytest.mark.parametrize("halved_before", [False, True])
-def test_tensors_that_change_in_half_lose_their_threshold(weights, tmp_path, halved_before):
+def test_tensors_that_change_in_half_lose_their_threshold(narrow_weights, tmp_path, halved_before):
     source, target = tmp_path / "tuned.safetensors", tmp_path / "half.safetensors"
+    weights = narrow_weights
     if halved_before:
         import_weights(weights, target, half=True)
         weights = target
@@ -209,18 +210,18 @@ def test_tensors_that_change_in_half_lose_their_threshold(weights, tmp_path, hal
 
 @pytest.mark.parametrize("is_of_default_width", [True, False])
 def test_weights_for_another_sensor_lose_their_threshold(
-    weights, tmp_path, caplog, is_of_default_width
+    narrow_weights, tmp_path, caplog, is_of_default_width
 ):
     caplog.set_level(logging.INFO)
     source, target = tmp_path / "tuned.safetensors", tmp_path / "other.safetensors"
     risk = RiskThreshold("error", 0.2, 0.1, None, 20, ("00",))
-    card = read_card(weights)
+    card = read_card(narrow_weights)
     if is_of_default_width:
         tuned = replace(card, risk=risk)
     else:
         narrow = {512: FittedParts(risk=risk)}
         tuned = replace(card, widths=(card.sensor.width, 512), parts_of_widths=narrow)
-    save_with_card(weights, source, tuned)
+    save_with_card(narrow_weights, source, tuned)
     other = import_weights(source, target, sensor=sensor("hdl32"))
     assert other.risk is None
     assert other.parts_of_widths == {}

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """Features of scans, and of points that tell how likely a label is wrong."""
 
 import math
@@ -10,6 +11,7 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_bin, write_sequence
 from scipy.special import softmax
+from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, load_network, project, read_scan, sample
 from salsanext_cli.core.errors import FormatError

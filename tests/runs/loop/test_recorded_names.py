@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """Results keep the names of their sequences, whatever a version or another source calls them."""
 
 import shutil
 
 from scans import write_sequence
+from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
