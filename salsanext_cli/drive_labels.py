@@ -16,8 +16,8 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.fusion.fuse_drive import VotingScan
 from salsanext_cli.core.fusion.top_classes import top_classes
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import Labeller, labeller_for
+from salsanext_cli.core.labelling import LabelRequest
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Origin, Origins
 from salsanext_cli.core.sensors.sensor import Sensor

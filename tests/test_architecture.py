@@ -38,9 +38,10 @@ LEVELS = (
     ("core.sensors",),
     ("core.geometry", "core.network"),
     ("core.checks", "core.engines", "core.fusion"),
-    ("core.fitting", "core.label_request", "core.labelling", "core.uncertainty"),
+    ("core.fitting", "core.labelling", "core.uncertainty"),
     ("core.on_device",),
     ("core.labellers",),
+    ("core.estimators",),
     ("core.api", "core.measures"),
     ("io.bag_index", "io.files"),
     (

@@ -12,6 +12,7 @@ from benchmarks.speed.speed_hardware import describe
 from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.measures.scores import confusion_matrix
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
+from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.results.paths import ScanFile
 
 
@@ -39,7 +40,7 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
         # With the paper's aleatoric uncertainty, as the baseline.
         "uncertainty": lambda: UncertaintyMethod(
             samples=task["samples"], aleatoric="paper"
-        ).estimate(network, image, file.sequence, file.stem),
+        ).estimate(network, image, scan_seed(0, file.sequence, file.stem)),
     }
     if part in work:
         return work[part]

@@ -16,9 +16,8 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.geometry.sensor_frame import around
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import label_scan
-from salsanext_cli.core.labelling import LabelledScan
+from salsanext_cli.core.labelling import LabelledScan, LabelRequest
 from salsanext_cli.core.records import Float, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN
 from salsanext_cli.core.uncertainty.error_features import knows_error

@@ -14,9 +14,9 @@ import numpy as np
 from salsanext_cli.core.engines.backend import DeviceBackend, PixelPrediction
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.projection import points_from_pixels
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labelling import (
     LabelledScan,
+    LabelRequest,
     PreparedScan,
     predict_pixels,
     prepare_for,

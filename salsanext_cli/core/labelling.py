@@ -23,6 +23,29 @@ from salsanext_cli.core.records import Float, Origin, RangeImage, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelRequest:
+    """Results of a scan besides its labels and their least confidence.
+
+    Attributes
+    ----------
+    knn : KnnParameters
+        Neighbourhood of the refinement.
+    softmax : bool
+        Whether the points have the probabilities of all classes.
+    half_softmax : bool
+        Whether these are float16, as files contain them, instead of float32.
+    error : bool
+        Whether the points have the probability that their label is wrong, which needs an error
+        model in the weights.
+    """
+
+    knn: KnnParameters = KnnParameters()
+    softmax: bool = False
+    half_softmax: bool = False
+    error: bool = False
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckedScan:
     """Scan whose sensor was found, and that was checked.
@@ -116,6 +139,28 @@ class LabelledScan:
     pixel_labels: TrainIds
     mean_confidence: float
     softmax: Float | None = None
+    error: Float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EstimatedScan:
+    """Scan with the uncertainty of its points.
+
+    Attributes
+    ----------
+    checked : CheckedScan
+        Scan of N points.
+    uncertainty : dict of (N,) float32
+        Each kind of the method by its name; NaN without a pixel.
+    labels : (N,) uint8, optional
+        Train ids of the points by the mean softmax, refined by kNN.
+    error : (N,) float32, optional
+        Probability that each label is wrong; NaN without a pixel.
+    """
+
+    checked: CheckedScan
+    uncertainty: dict[str, Float]
+    labels: TrainIds | None = None
     error: Float | None = None
 
 

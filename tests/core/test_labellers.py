@@ -16,8 +16,8 @@ from salsanext_cli.core import labellers
 from salsanext_cli.core.engines.backend import PixelPrediction, device_backend
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.errors import FormatError, WeightsError
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import KernelLabeller, label_scan, labeller_for
+from salsanext_cli.core.labelling import LabelRequest
 from salsanext_cli.core.on_device.labeller import DeviceLabeller
 
 LONGEST = 15  # Statements and lines of a table of contents

@@ -14,7 +14,7 @@ from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import Network, load_network
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.core.label_request import LabelRequest
+from salsanext_cli.core.labelling import LabelRequest
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.on_device.labeller import DeviceLabeller
 from salsanext_cli.core.uncertainty.error_features import FEATURES

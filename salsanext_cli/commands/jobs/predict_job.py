@@ -21,9 +21,8 @@ from salsanext_cli.commands.jobs.object_table import object_table
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.geometry.objects import find_objects
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import Labeller, labeller_for
-from salsanext_cli.core.labelling import LabelledScan
+from salsanext_cli.core.labelling import LabelledScan, LabelRequest
 from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.runs.fit.scan_reading import FileToLabel, read_to_label
 from salsanext_cli.runs.results.output_run import OutputRun

@@ -236,7 +236,7 @@ class Backend(ABC):
 class DeviceBackend(Backend):
     """Backend whose device has the inputs and the results of the network, as tensors of torch.
 
-    Where it computes on a GPU, `core.on_device` labels the points there too.
+    Where it computes on a GPU, `core.on_device` labels the points and estimates there too.
     """
 
     @abstractmethod
@@ -258,6 +258,35 @@ class DeviceBackend(Backend):
     @abstractmethod
     def device_logits(self, images: "Tensor") -> "Tensor":
         """Return the logits (B, C, H, W) float32 of inputs (B, 5, H, W) on the device."""
+
+    @abstractmethod
+    def device_sample(
+        self, image: "Tensor", seeds: Sequence[int], merging: ClassMerging | None = None
+    ) -> "dict[str, Tensor]":
+        """Return the attributes of `SoftmaxSpread` on the device, without waiting for it.
+
+        Parameters
+        ----------
+        image : (1, 5, H, W) float32
+            Input of the network on the device.
+        seeds, merging
+            As for `sample`.
+
+        Returns
+        -------
+        dict of Tensor
+            float32, by name.
+        """
+
+    @abstractmethod
+    def device_spread(self, images: "Tensor", merging: ClassMerging | None = None) -> "Tensor":
+        """Return the result of `spread` on the device, of inputs (B, 5, H, W) there."""
+
+    @abstractmethod
+    def device_run(
+        self, name: str, function: Callable[..., Any], *images: "Tensor", exact: bool = False
+    ) -> "tuple[Tensor, ...]":
+        """Return the result of `run` of tensors (1, …) on the device."""
 
 
 def device_backend(backend: Backend) -> DeviceBackend:

@@ -2,8 +2,10 @@
 """Calls of torch in which the host waits for the device, which no CUDA graph can record."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
@@ -34,12 +36,49 @@ SIZED_BY_VALUES = {
 }
 """Functions whose results have as many values as the values of a tensor decide."""
 INDEXED = {"__getitem__", "__setitem__", "index_put", "index_put_"}
-"""Functions of which this holds if an index is a mask."""
-FROM_NUMBERS = {"as_tensor", "new_tensor", "tensor"}  # Copies from the host
+"""Functions for which the host is needed if an index is a mask, or numbers of the host."""
+FROM_NUMBERS = {"as_tensor", "asarray", "new_tensor", "tensor"}  # Copies from the host
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TorchCall:
+    """Call of a function of torch.
+
+    Attributes
+    ----------
+    name : str
+        Name of the function.
+    args : sequence
+        Its arguments by position.
+    named : mapping
+        Its arguments by name.
+    """
+
+    name: str
+    args: Sequence[Any]
+    named: Mapping[str, Any]
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """Tensors among the arguments."""
+        return [*tensors_in([self.args, self.named])]
+
+    def depends_on_values(self) -> bool:
+        """Return whether the host must have values of tensors or indices before the call."""
+        count = len(self.args) + len(self.named)
+        if self.name in INDEXED:
+            return any(map(_needs_host, [*self.args[1:2], self.named.get("indices")]))
+        if self.name == "where":
+            return count == 1
+        if self.name == "repeat_interleave":
+            if self.named.get("output_size") is not None:
+                return False
+            return count == 1 or next(tensors_in([self.args[1:], self.named]), None) is not None
+        return self.name in READS or self.name in SIZED_BY_VALUES
 
 
 class HostUseRefused(TorchFunctionMode):
-    """Context of one thread in which a call raises `RuntimeError` if the host must wait for it.
+    """Context of one thread in which a call raises `RuntimeError` if it needs the host.
 
     Such calls read values, such as `Tensor.item`, return as many as the values decide, such as
     `torch.nonzero`, or copy between devices. Calls from Python are seen, not those within them.
@@ -53,41 +92,31 @@ class HostUseRefused(TorchFunctionMode):
         kwargs: Mapping[str, Any] | None = None,
     ) -> Any:
         """Call a function of torch."""
-        named = kwargs or {}
-        name = func.__name__
-        if depends_on_values(name, args, named):
-            raise RuntimeError(f"{name} needs the host")
-        result = func(*args, **named)
-        devices = {tensor.device.type for tensor in tensors_in([args, named, result])}
-        if len(devices) > 1 or (name in FROM_NUMBERS and devices != {"cpu"}):
-            raise RuntimeError(f"{name} copies between devices")
+        call = TorchCall(name=func.__name__, args=args, named=kwargs or {})
+        if self.reads(call):
+            raise RuntimeError(f"{call.name} needs the host")
+        result = func(*call.args, **call.named)
+        if self.copies(call, result):
+            raise RuntimeError(f"{call.name} copies between devices")
         return result
 
+    def reads(self, call: TorchCall) -> bool:
+        """Return whether a call is refused because it depends on values."""
+        return call.depends_on_values()
 
-def depends_on_values(name: str, args: Sequence[Any], named: Mapping[str, Any]) -> bool:
-    """Return whether the host must know values to return from a function of torch.
+    def copies(self, call: TorchCall, result: Any) -> bool:
+        """Return whether a call is refused because it copied between devices."""
+        devices = {tensor.device.type for tensor in [*call.tensors, *tensors_in(result)]}
+        return len(devices) > 1 or (call.name in FROM_NUMBERS and devices != {"cpu"})
 
-    Parameters
-    ----------
-    name : str
-        Name of the function.
-    args : sequence
-        Its arguments by position.
-    named : mapping
-        Its arguments by name.
 
-    Returns
-    -------
-    bool
-    """
-    if name in INDEXED:
-        indices = tensors_in([args[1:2], named])
-        return any(index.dtype in (torch.bool, torch.uint8) for index in indices)
-    if name == "where":
-        return len(args) + len(named) == 1
-    if name == "repeat_interleave":
-        return len(args) + len(named) == 1 or next(tensors_in([args[1:], named]), None) is not None
-    return name in READS or name in SIZED_BY_VALUES
+def _needs_host(index: Any) -> bool:
+    """Return whether an index, or a member of it, is a mask or has numbers of the host."""
+    if isinstance(index, Tensor):
+        return index.dtype in (torch.bool, torch.uint8)
+    if isinstance(index, tuple) or next(tensors_in(index), None) is not None:
+        return any(map(_needs_host, index))
+    return isinstance(index, list | np.ndarray)
 
 
 def tensors_in(values: Any) -> Iterator[Tensor]:

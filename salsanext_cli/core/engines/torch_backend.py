@@ -132,7 +132,16 @@ class TorchBackend(DeviceBackend):
         self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
     ) -> SoftmaxSpread:
         """Return the spread of the softmax over dropout passes, one per seed of the masks."""
-        features = self._padded_trunk(self.tensor([image]))
+        spread = self.device_sample(self.tensor([image]), seeds, merging)
+        arrays = self.to_host(list(spread.values()))
+        return SoftmaxSpread(**dict(zip(spread, arrays, strict=True)))
+
+    @torch.inference_mode()
+    def device_sample(
+        self, image: Tensor, seeds: Sequence[int], merging: ClassMerging | None = None
+    ) -> dict[str, Tensor]:
+        """Return the attributes of `SoftmaxSpread` on the device, without waiting for it."""
+        features = self._padded_trunk(image)
         height, width = image.shape[-2:]
 
         def passes(batch: Sequence[int]) -> tuple[Tensor, Tensor | None]:
@@ -156,31 +165,42 @@ class TorchBackend(DeviceBackend):
             "entropy": entropy,
             "mutual_information": information,
         }
-        arrays = self.to_host([values.float() for values in results.values()])
-        return SoftmaxSpread(**dict(zip(results, arrays, strict=True)))
+        return {name: values.float() for name, values in results.items()}
 
     @torch.inference_mode()
     def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Float:
         """Return the unbiased variance of the softmax over images, (C, H, W) float32."""
 
-        def copies(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
+        def softmax(batch: Sequence[Float]) -> tuple[Tensor, Tensor | None]:
             return self.softmax(self.tensor(batch), 1.0), None
 
-        items = list(images)
-        count = len(items)
-        total, squares, _ = self._sums(copies, items, merging)
-        variance = (squares / count - (total / count).square()).clamp_(min=0)
-        (unbiased,) = self.to_host([(variance * (count / (count - 1))).float()])
-        return cast(Float, unbiased)
+        (variance,) = self.to_host([self._unbiased_variance(softmax, list(images), merging)])
+        return cast(Float, variance)
+
+    @torch.inference_mode()
+    def device_spread(self, images: Tensor, merging: ClassMerging | None = None) -> Tensor:
+        """Return the result of `spread` on the device, of inputs (B, 5, H, W) there."""
+
+        def softmax(batch: Sequence[Tensor]) -> tuple[Tensor, Tensor | None]:
+            return self.softmax(torch.cat(list(batch)), 1.0), None
+
+        return self._unbiased_variance(softmax, torch.split(images, 1), merging)
 
     @torch.inference_mode()
     def run(
         self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False
     ) -> tuple[Tensor, ...]:
         """Return ``function(module, *images)``, tensors on the device."""
-        module = self.module if exact else self.torch_module
         tensors = [self.tensor([image]) for image in images]
-        return self._call(f"{name}, exact: {exact}", function, module, *tensors)
+        return self.device_run(name, function, *tensors, exact=exact)
+
+    @torch.inference_mode()
+    def device_run(
+        self, name: str, function: Callable[..., Any], *images: Tensor, exact: bool = False
+    ) -> tuple[Tensor, ...]:
+        """Return the result of `run` of tensors (1, …) on the device."""
+        module = self.module if exact else self.torch_module
+        return self._call(f"{name}, exact: {exact}", function, module, *images)
 
     def tensor(self, images: Sequence[Float]) -> Tensor:
         """Return images (1, 5, H, W) as a tensor (B, 5, H, W) on the device."""
@@ -221,6 +241,18 @@ class TorchBackend(DeviceBackend):
         arrays = HostCopies.of(tensors).arrays()
         # Systems have little of the page-locked memory of the copies from a GPU.
         return [array.copy() for array in arrays] if self._on_gpu else arrays
+
+    def _unbiased_variance(
+        self,
+        compute: Callable[[Sequence[Any]], tuple[Tensor, Tensor | None]],
+        items: Sequence[Any],
+        merging: ClassMerging | None,
+    ) -> Tensor:
+        """Return the unbiased variance of the softmax, (C, H, W) float32; arguments as `_sums`."""
+        count = len(items)
+        total, squares, _ = self._sums(compute, items, merging)
+        variance = (squares / count - (total / count).square()).clamp_(min=0)
+        return (variance * (count / (count - 1))).float()
 
     def _sums(
         self,
@@ -312,7 +344,8 @@ class Float32Convolution(nn.Conv2d):
 def keep_ends_in_float32(module: nn.Module, hidden: torch.dtype = torch.float32) -> None:
     """Compute the layers of the range image, into `hidden` features, and the logits in float32."""
     for name, layer in list(module.named_modules()):
-        if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
+        is_plain = type(layer) in (nn.Conv2d, Float32Convolution)
+        if is_plain and (name == LOGITS or layer.in_channels == len(CHANNELS)):
             parent, _, attribute = name.rpartition(".")
             output = torch.float32 if name == LOGITS else hidden
             setattr(module.get_submodule(parent), attribute, Float32Convolution(layer, output))

@@ -25,6 +25,8 @@ class DeviceLabels:
         Whether all largest probabilities are finite.
     ego_points : int
         Number of points on the sensor or its vehicle.
+    is_final : bool
+        Whether more rounds would change no error.
     softmax : (N, C) float32 or float16, optional
         Probabilities of all classes.
     error : (N,) float32, optional
@@ -37,5 +39,6 @@ class DeviceLabels:
     mean_confidence: float
     is_finite: bool
     ego_points: int
+    is_final: bool = True
     softmax: Float | None = None
     error: Float | None = None

@@ -12,20 +12,19 @@ from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.geometry.intensity import NO_INTENSITY, scale_table
 from salsanext_cli.core.on_device.no_intensity import lack_intensity
 from salsanext_cli.core.on_device.pixel_sample import PixelSample
-from salsanext_cli.core.on_device.projection import RangeImages
 from salsanext_cli.core.records import Double
 from salsanext_cli.core.sensors.sensor import INTENSITY_LEVELS, Sensor
 
 INTENSITY = 4  # Channel of the intensity
 
 
-def matched_intensity(images: RangeImages, sensors: Sequence[Sensor], trained: Sensor) -> Tensor:
+def matched_intensity(channels: Tensor, sensors: Sequence[Sensor], trained: Sensor) -> Tensor:
     """Return channels whose intensities are on the scale of training.
 
     Parameters
     ----------
-    images : RangeImages
-        B range images.
+    channels : (B, 5, H, W) float32
+        Channels of range images; 0 where empty.
     sensors : sequence of Sensor
         Sensor of each image.
     trained : Sensor
@@ -35,7 +34,6 @@ def matched_intensity(images: RangeImages, sensors: Sequence[Sensor], trained: S
     -------
     (B, 5, H, W) float32
     """
-    channels = images.channels
     device = channels.device
     target = trained.intensity_quantiles
     sources = [sensor.intensity_quantiles for sensor in sensors]
@@ -45,7 +43,7 @@ def matched_intensity(images: RangeImages, sensors: Sequence[Sensor], trained: S
     empty_table = device_numbers(padded_table(NO_INTENSITY, target), device, torch.float64)
     is_known = device_numbers([bool(source) for source in sources], device, torch.bool)
     is_other = device_numbers([source != target for source in sources], device, torch.bool)
-    has_none = is_known & lack_intensity(PixelSample.from_images(images))
+    has_none = is_known & lack_intensity(PixelSample.from_channels(channels))
     sensor_tables = device_numbers(tables, device, torch.float64)
     table = torch.where(has_none[:, None, None], empty_table, sensor_tables)
     values, targets = table.unbind(dim=1)
@@ -53,7 +51,7 @@ def matched_intensity(images: RangeImages, sensors: Sequence[Sensor], trained: S
     mapped = interpolated(raw.flatten(1), values, targets).view(raw.shape)
     is_mapped = has_none | (is_known & is_other)
     matched = channels.clone()
-    matched[:, INTENSITY] = mapped.where(is_mapped[:, None, None] & images.occupied, raw)
+    matched[:, INTENSITY] = mapped.where(is_mapped[:, None, None] & (channels[:, 0] > 0), raw)
     return matched
 
 

@@ -10,17 +10,22 @@ from torch import Tensor
 from salsanext_cli.core.engines.backend import DeviceBackend, device_backend
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import merged
-from salsanext_cli.core.label_request import LabelRequest
-from salsanext_cli.core.labelling import LabelledScan, checked_scan
+from salsanext_cli.core.labelling import LabelledScan, LabelRequest, checked_scan
+from salsanext_cli.core.on_device.batch_results import BatchResults, ScanOfBatch, final_results
+from salsanext_cli.core.on_device.device_labels import DeviceLabels
 from salsanext_cli.core.on_device.error_probability import error_probability
 from salsanext_cli.core.on_device.host_points import HostPoints
 from salsanext_cli.core.on_device.knn import knn_refine
-from salsanext_cli.core.on_device.labelled_batch import LabelledBatch
 from salsanext_cli.core.on_device.network_input import network_inputs
-from salsanext_cli.core.on_device.projection import RangeImages, project
+from salsanext_cli.core.on_device.projection import (
+    RangeImages,
+    ego_counts,
+    points_from_pixels,
+    project,
+)
+from salsanext_cli.core.on_device.regions import ROUNDS
 from salsanext_cli.core.on_device.scan_batch import ScanBatch
 from salsanext_cli.core.on_device.scan_for_device import ScanForDevice
-from salsanext_cli.core.on_device.scan_of_batch import ScanOfBatch
 from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 
@@ -50,11 +55,11 @@ class DeviceLabeller:
         return ScanForDevice(checked=checked, points=points)
 
     @torch.inference_mode()
-    def compute(self, scans: Sequence[ScanForDevice]) -> list[ScanOfBatch]:
+    def compute(self, scans: Sequence[ScanForDevice], rounds: int = ROUNDS) -> list[ScanOfBatch]:
         """Hand scans to the device together, and do not wait for their labels.
 
-        So the device has the next batch before the results of this one are back. Without `error`
-        the host reads nothing from the device.
+        So the device has the next batch before the results of this one are back. For errors, the
+        regions of pixels are joined in a number of rounds.
         """
         sensors = [scan.checked.sensor for scan in scans]
         points = [scan.points for scan in scans]
@@ -64,22 +69,22 @@ class DeviceLabeller:
         confidence, classes = softmax.max(dim=1)
         pixel_labels = classes.to(torch.uint8)
         labels = knn_refine(images, pixel_labels, self.request.knn)
-        point_values = {
-            "labels": labels,
-            "least_confidence": _from_pixels(1 - confidence[:, None], images, torch.nan)[:, 0],
+        uncertain = points_from_pixels(1 - confidence[:, None], images, torch.nan)
+        point_values = {"labels": labels, "least_confidence": uncertain[:, 0]}
+        scan_values = {
+            "pixel_labels": pixel_labels,
+            "mean_confidence": _mean_confidence(confidence, images),
+            "is_finite": confidence.isfinite().flatten(1).all(dim=1),
+            "ego_points": ego_counts(batch, images),
         }
         if self.request.softmax:
             point_values["softmax"] = self._softmax_of_points(softmax, images)
         if self.request.error:
             card = self.network.card
-            point_values["error"] = error_probability(images, softmax, labels, card)
-        scan_values = {
-            "pixel_labels": pixel_labels,
-            "mean_confidence": _mean_confidence(confidence, images),
-            "is_finite": confidence.isfinite().flatten(1).all(dim=1),
-            "ego_points": _ego_counts(batch, images),
-        }
-        results = LabelledBatch.of(batch.counts, point_values, scan_values)
+            errors = error_probability(images, softmax, labels, card, rounds)
+            point_values["error"] = errors.probability
+            scan_values["is_final"] = errors.is_final
+        results = BatchResults.of(batch.counts, point_values, scan_values)
         return [ScanOfBatch(batch=results, number=number) for number in range(len(scans))]
 
     @property
@@ -89,19 +94,20 @@ class DeviceLabeller:
     def _softmax(self, images: RangeImages, sensors: Sequence[Sensor]) -> Tensor:
         """Return the softmax (B, C, H, W) of images, in the classes of the results."""
         network = self.network
-        inputs = network_inputs(images, sensors, network.card.sensor)
+        inputs = network_inputs(images.channels, sensors, network.card.sensor)
         softmax = self._backend.softmax(inputs, network.card.temperature)
         return softmax if network.merging is None else merged(softmax, network.merging)
 
     def _softmax_of_points(self, softmax: Tensor, images: RangeImages) -> Tensor:
         """Return the softmax (B, C, H, W) of the pixels of points, (P, C); else class 0."""
-        rows = _from_pixels(softmax, images, 0.0)
+        rows = points_from_pixels(softmax, images, 0.0)
         rows[:, 0].masked_fill_(images.pixel_of_point < 0, 1)
         return rows.half() if self.request.half_softmax else rows
 
     def finish(self, scan: ScanForDevice, computed: ScanOfBatch) -> LabelledScan:
         """Return the labelled scan; `WeightsError` if a probability is not finite."""
-        labels = computed.labels()
+        results = final_results(computed, lambda rounds: self.compute([scan], rounds)[0])
+        labels = DeviceLabels(**results)
         checked = scan.checked
         if not labels.is_finite:
             raise self.network.backend.not_finite(checked.source)
@@ -117,23 +123,9 @@ class DeviceLabeller:
         )
 
 
-def _from_pixels(values: Tensor, images: RangeImages, empty: float) -> Tensor:
-    """Return the values (B, K, H, W) of the pixels of points, (P, K); `empty` without a pixel."""
-    rows = values.permute(0, 2, 3, 1).reshape(-1, values.shape[1])
-    has_pixel = images.pixel_of_point >= 0
-    return rows[images.pixel_of_point.clamp(min=0)].where(has_pixel[:, None], empty)
-
-
 def _mean_confidence(confidence: Tensor, images: RangeImages) -> Tensor:
     """Return the mean confidence (B,) of the occupied pixels of (B, H, W); 1 without any."""
     occupied = images.occupied
     total = confidence.double().where(occupied, 0).flatten(1).sum(dim=1)
     count = occupied.flatten(1).sum(dim=1)
     return (total / count).where(count > 0, 1)
-
-
-def _ego_counts(batch: ScanBatch, images: RangeImages) -> Tensor:
-    """Return the number of points of each scan on its sensor or vehicle, (B,) int64."""
-    if images.is_ego is None:
-        return torch.zeros(len(batch.counts), dtype=torch.int64, device=batch.points.device)
-    return batch.sum_per_scan(images.is_ego)

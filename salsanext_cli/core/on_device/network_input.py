@@ -9,17 +9,16 @@ from torch import Tensor
 from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.geometry.row_gaps import FILLED_ROWS, fills_rows
 from salsanext_cli.core.on_device.intensity import matched_intensity
-from salsanext_cli.core.on_device.projection import RangeImages
 from salsanext_cli.core.sensors.sensor import Sensor
 
 
-def network_inputs(images: RangeImages, sensors: Sequence[Sensor], trained: Sensor) -> Tensor:
+def network_inputs(channels: Tensor, sensors: Sequence[Sensor], trained: Sensor) -> Tensor:
     """Return the inputs of weights from images of other sensors.
 
     Parameters
     ----------
-    images : RangeImages
-        B range images.
+    channels : (B, 5, H, W) float32
+        Channels of range images; 0 where empty.
     sensors : sequence of Sensor
         Sensor of each image.
     trained : Sensor
@@ -30,7 +29,7 @@ def network_inputs(images: RangeImages, sensors: Sequence[Sensor], trained: Sens
     (B, 5, H, W) float32
         Normalised channels, 0 in empty pixels.
     """
-    channels = _filled(matched_intensity(images, sensors, trained), sensors, trained)
+    channels = filled_gaps(matched_intensity(channels, sensors, trained), sensors, trained)
     is_empty = channels[:, :1] <= 0
     means = device_numbers([sensor.means for sensor in sensors], channels.device)
     stds = device_numbers([sensor.stds for sensor in sensors], channels.device)
@@ -38,7 +37,7 @@ def network_inputs(images: RangeImages, sensors: Sequence[Sensor], trained: Sens
     return normal.masked_fill(is_empty, 0)
 
 
-def _filled(channels: Tensor, sensors: Sequence[Sensor], trained: Sensor) -> Tensor:
+def filled_gaps(channels: Tensor, sensors: Sequence[Sensor], trained: Sensor) -> Tensor:
     """Return channels (B, 5, H, W) whose gaps are filled where sensors have many more of them."""
     fills = [fills_rows(sensor, trained) for sensor in sensors]
     if not any(fills):

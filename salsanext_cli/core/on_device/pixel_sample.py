@@ -10,7 +10,6 @@ from torch import Tensor
 from salsanext_cli.core.engines.device_copies import device_numbers
 from salsanext_cli.core.geometry.intensity import SAMPLE
 from salsanext_cli.core.geometry.point_sample import sample_shares
-from salsanext_cli.core.on_device.projection import RangeImages
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,16 +31,16 @@ class PixelSample:
     counts: Tensor
 
     @classmethod
-    def from_images(cls, images: RangeImages) -> "PixelSample":
-        """Return the sample of each image; all occupied pixels where they are few."""
-        occupied = images.occupied.flatten(1)
+    def from_channels(cls, channels: Tensor) -> "PixelSample":
+        """Return the sample of images (B, 5, H, W); all occupied pixels where they are few."""
+        occupied = (channels[:, 0] > 0).flatten(1)
         ranks = occupied.cumsum(dim=1)
         counts = ranks[:, -1:]
         in_order = torch.arange(SAMPLE, device=counts.device)
         shares = _shares(str(counts.device))
         place = torch.where(counts > SAMPLE, (shares * counts).long(), in_order)
         pixel = torch.searchsorted(ranks, place + 1).clamp(max=ranks.shape[1] - 1)
-        values = images.channels.flatten(2)[:, 1:].gather(2, pixel[:, None].expand(-1, 4, -1))
+        values = channels.flatten(2)[:, 1:].gather(2, pixel[:, None].expand(-1, 4, -1))
         return cls(
             points=values[:, :3],
             intensity=values[:, 3].contiguous(),

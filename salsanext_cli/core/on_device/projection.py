@@ -14,7 +14,7 @@ from torch import Tensor
 
 from salsanext_cli.core.geometry.projection import PI, TAN_22_5
 from salsanext_cli.core.on_device.frames import sensor_points
-from salsanext_cli.core.on_device.scan_batch import PointsOfScans
+from salsanext_cli.core.on_device.scan_batch import PointsOfScans, ScanBatch
 from salsanext_cli.core.records import CHANNELS, MAX_INTENSITY, MAX_RANGE_M
 
 TERMS_OF_ARCTAN = 13  # Of the series t − t³/3 + t⁵/5 − …
@@ -190,3 +190,17 @@ def _nearest_points(pixel_of_point: Tensor, point_range: Tensor, pixels: int) ->
     nearest = nearest[:pixels]
     point = nearest & ((1 << INDEX_BITS) - 1)
     return point.where(nearest != NO_CANDIDATE, count)
+
+
+def points_from_pixels(values: Tensor, images: RangeImages, empty: float) -> Tensor:
+    """Return the values (B, K, H, W) of the pixels of points, (P, K); `empty` without a pixel."""
+    rows = values.permute(0, 2, 3, 1).reshape(-1, values.shape[1])
+    has_pixel = images.pixel_of_point >= 0
+    return rows[images.pixel_of_point.clamp(min=0)].where(has_pixel[:, None], empty)
+
+
+def ego_counts(batch: ScanBatch, images: RangeImages) -> Tensor:
+    """Return the number of points of each scan on its sensor or vehicle, (B,) int64."""
+    if images.is_ego is None:
+        return torch.zeros(len(batch.counts), dtype=torch.int64, device=batch.points.device)
+    return batch.sum_per_scan(images.is_ego)

@@ -26,6 +26,13 @@ def _along_ray(channels: Float) -> Float:
     return change
 
 
+def noise_draws(size: tuple[int, ...], seed: int) -> Iterator[Float]:
+    """Yield standard normal numbers (2, H, W) float32 endlessly: along the rays, of intensities."""
+    random = np.random.default_rng(seed)
+    while True:
+        yield random.standard_normal((2, *size), np.float32)
+
+
 def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
     """Yield noisy copies of a range image endlessly.
 
@@ -44,11 +51,9 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
         Channels.
     """
     noise = sensor.require_noise()
-    random = np.random.default_rng(seed)
     occupied = image.channels[0] > 0
     step = _along_ray(image.channels)
-    while True:
-        along, bright = random.standard_normal((2, *occupied.shape), np.float32)
+    for along, bright in noise_draws(occupied.shape, seed):
         copy = image.channels.copy()
         copy[:4] += step * np.float32(noise.range) * along
         copy[4] += occupied * np.float32(noise.intensity) * bright
@@ -91,12 +96,12 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
     mean = network.input(image.channels)
-    logits, logits_variance = network.backend.run("moments", _moments, mean, variance, exact=True)
+    logits, logits_variance = network.backend.run("moments", moments, mean, variance, exact=True)
     softmax = Gaussian(logits, logits_variance).softmax(dim=1)
     return softmax.variance[0].cpu().numpy()
 
 
-def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
+def moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the logits from mean and variance (B, 5, H, W) of the input."""
     logits: Gaussian = module(Gaussian(mean, variance))
     return logits.mean, logits.variance

@@ -8,7 +8,7 @@ from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.network.dropout import require_dropout
 from salsanext_cli.core.records import RangeImage
 from salsanext_cli.core.uncertainty.aleatoric import COPIES, aleatoric, noise_variance
-from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_samples, sample, scan_seed
+from salsanext_cli.core.uncertainty.monte_carlo import Estimate, require_samples, sample
 from salsanext_cli.core.wording import argument, setting
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
@@ -69,7 +69,7 @@ class UncertaintyMethod:
             hint = f"use {setting('aleatoric', 'copies')}"
             raise UsageError(argument("aleatoric"), problem, "the classes of the weights", hint)
 
-    def estimate(self, network: Network, image: RangeImage, sequence: str, stem: str) -> Estimate:
+    def estimate(self, network: Network, image: RangeImage, seed: int) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels.
 
         Parameters
@@ -78,16 +78,13 @@ class UncertaintyMethod:
             Network for the sensor of the scan.
         image : RangeImage
             H × W pixels.
-        sequence : str
-            Name of the sequence, which decides the masks and the noise.
-        stem : str
-            Name of the scan, which decides them too.
+        seed : int
+            Seed of the masks and the noise, as of `scan_seed`.
 
         Returns
         -------
         Estimate
         """
-        seed = scan_seed(self.seed, sequence, stem)
         estimate = sample(network, image, samples=self.samples, seed=seed)
         if not self.is_noisy:
             return estimate

@@ -95,7 +95,9 @@ def _number_type(precision: str, device: str, library: str, file: Path, card: We
     return number_type
 
 
-def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
+def network_of_module(
+    module: "SegmentationNetwork", card: WeightsCard, device: str, precision: str = "float32"
+) -> Network:
     """Return the network of a torch module in training that is on the device already.
 
     Its calls are not recorded as CUDA graphs: an epoch later, the recordings are of no use.
@@ -104,7 +106,12 @@ def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: 
 
     size = (card.sensor.height, card.sensor.width)
     backend = TorchBackend(
-        load_module=lambda: module, card=card, size=size, device=device, records=False
+        load_module=lambda: module,
+        card=card,
+        size=size,
+        device=device,
+        precision=precision,
+        records=False,
     )
     return Network(backend, card.sensor)
 

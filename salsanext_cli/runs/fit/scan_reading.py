@@ -27,7 +27,7 @@ class PreparedFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FileToLabel:
-    """File of a scan, and its scan as a labeller prepares it."""
+    """File of a scan, and its scan as a labeller or an estimator prepares it."""
 
     file: ScanFile
     scan: Any

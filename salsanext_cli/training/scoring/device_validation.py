@@ -124,7 +124,7 @@ class DeviceValidation:
         host_truth = pinned(torch.cat([scan.truth for scan in scans]), device)
         truth = host_truth.to(device, non_blocking=True).long()
         images = project(batch)
-        inputs = network_inputs(images, sensors, self.network.card.sensor)
+        inputs = network_inputs(images.channels, sensors, self.network.card.sensor)
         logits = backend.device_logits(inputs)
         labels = knn_refine(images, logits.argmax(dim=1).to(torch.uint8), KnnParameters())
         space = self.network.card.space

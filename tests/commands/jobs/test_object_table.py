@@ -11,8 +11,8 @@ from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import load_network
 from salsanext_cli.commands.jobs.object_table import object_table
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import label_scan
+from salsanext_cli.core.labelling import LabelRequest
 
 COUNTS = {"car": 40, "person": 7}
 

@@ -4,10 +4,12 @@
 
 import copy
 
+import numpy as np
 import pytest
 import torch
 from scans import SMALL, make_scan
 from shallow import shallow, weights  # noqa: F401
+from waiting import META, WaitsRefused
 
 from salsanext_cli import load_network, project
 from salsanext_cli.core.engines.host_use import HostUseRefused
@@ -28,10 +30,14 @@ ON_OTHER_DEVICE = torch.empty(2, 2, device="meta")
         lambda x: x if x.sum() > 0 else -x,
         lambda x: x.nonzero(),
         lambda x: x[x > 0],
+        lambda x: x[[0, 1]],
+        lambda x: x[:, np.array([0])],
         lambda x: x.clone().index_put_((x > 0,), torch.ones(3)),
         lambda x: x.masked_select(x > 0),
         lambda x: x.unique(),
+        lambda x: x.clone().index_put_([x > 0], torch.ones(3)),
         lambda x: x.repeat_interleave(torch.tensor([1, 2]), dim=0),
+        lambda x: torch.repeat_interleave(x[0].long()),
         lambda x: torch.where(x > 0),
         lambda x: x.equal(x),
         lambda x: 1.0 in x,
@@ -55,6 +61,42 @@ def test_other_calls_have_their_results(mode):
         result = torch.where(X > 1, X[rows], X.masked_fill(X > 2, 0.0)).softmax(dim=1)
     expected = torch.where(X > 1, X[rows], X.masked_fill(X > 2, 0.0)).softmax(dim=1)
     assert torch.equal(result, expected)
+
+
+@pytest.mark.parametrize(
+    "waits",
+    [
+        lambda there: torch.tensor([1.0], device=META),
+        lambda there: there.new_tensor([1.0]),
+        lambda there: torch.ones(3).to(META, non_blocking=True),
+        lambda there: torch.ones(3).pin_memory().to(META),
+        lambda there: there.copy_(torch.ones(3)),
+        lambda there: there.__setitem__(slice(None), torch.ones(3)),
+        lambda there: there[[0, 1]],
+        lambda there: there[torch.tensor([0, 1])],
+        lambda there: there[there > 0],
+        lambda there: there.sum().item(),
+        lambda there: there.to("cpu"),
+        lambda there: torch.repeat_interleave(there.long()),
+    ],
+)
+def test_what_a_gpu_waits_for_is_refused(waits):
+    """Beside the calls that no graph records: copies that are not from pinned memory."""
+    with WaitsRefused(), pytest.raises((RuntimeError, NotImplementedError)):
+        waits(torch.ones(3, device=META))
+
+
+def test_what_a_gpu_does_not_wait_for_is_permitted():
+    there = torch.ones(3, device=META)
+    values = torch.tensor([1.0, 2.0, 3.0])
+    with WaitsRefused(pinned=[values]):
+        assert values.sum().item() == 6  # The values are on the host.
+        copied = values[1:].to(META, non_blocking=True)
+        pinned = torch.ones(3).pin_memory().to(META, non_blocking=True)
+        repeated = there.repeat_interleave(there.long(), output_size=9)
+        scaled = (there + pinned)[1:] * copied * torch.tensor(2.0)
+    assert repeated.shape == (9,)
+    assert scaled.shape == (2,)
 
 
 def test_no_recorded_call_of_a_network_needs_the_host(weights, monkeypatch):

@@ -42,6 +42,20 @@ def test_ends_in_float32_have_the_weights_of_the_layers_that_they_replace():
     assert module.logits(torch.ones(1, 8, 4, 4, dtype=torch.bfloat16)).dtype == torch.float32
 
 
+def test_a_network_in_training_is_computed_in_its_number_type():
+    """Its ends are in float32 already, with features that autocast makes short."""
+    module = TinyNetwork().eval()
+    expected = module(torch.ones(1, 5, 16, 128))
+    keep_ends_in_float32(module)
+    card = WeightsCard({}, label_space(), SMALL)
+    network = network_of_module(module, card, "cpu", "bfloat16")
+    (logits,) = network.backend.logits([np.ones((1, 5, 16, 128), np.float32)])
+    assert logits.dtype == np.float32
+    assert (logits != expected[0].detach().numpy()).any()
+    np.testing.assert_allclose(logits, expected[0].detach().numpy(), atol=0.05)
+    assert module.features.output == torch.float32
+
+
 def test_settings_of_cuda_are_those_of_the_process_whatever_its_threads_do():
     """Contexts that overlapped in two threads once left the settings of the first behind."""
     card = WeightsCard({}, label_space(), SMALL)

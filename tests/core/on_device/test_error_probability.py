@@ -15,7 +15,8 @@ from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.on_device import error_probability as on_device
 from salsanext_cli.core.on_device.projection import project as project_batch
-from salsanext_cli.core.uncertainty.error_features import FEATURES, error_features, mean_of_regions
+from salsanext_cli.core.on_device.regions import ROUNDS, Regions
+from salsanext_cli.core.uncertainty.error_features import FEATURES, error_features
 
 CLASSES = 4
 
@@ -45,29 +46,12 @@ def test_features_are_those_of_single_scans(described, scans):
     on_its_device = torch.from_numpy(softmax).to(batch.points.device)
     labelled = on_device.LabelledImages.from_softmax(images, on_its_device)
     all_labels = torch.from_numpy(labels).to(batch.points.device).long()
-    found = on_device.error_features(labelled, all_labels).cpu().split(batch.counts)
+    regions = Regions.from_classes(labelled.classes, ROUNDS)
+    found = on_device.error_features(labelled, all_labels, regions).cpu().split(batch.counts)
     labels_of_scans = np.split(labels, np.cumsum(batch.counts)[:-1])
     for number, image in enumerate(single_images(batch, scans)):
         expected = error_features(image, softmax[number], labels_of_scans[number])
         np.testing.assert_allclose(found[number], expected, rtol=1e-5, atol=1e-6)
-
-
-@on_each_device
-def test_regions_are_those_of_the_kernel(described, scans):
-    batch, softmax, _ = described
-    images = project_batch(batch)
-    coarse = np.eye(2, dtype=np.float32)[softmax.argmax(axis=1) // 2].transpose(0, 3, 1, 2)
-    tensor = torch.from_numpy(coarse.copy()).to(batch.points.device)
-    labelled = on_device.LabelledImages.from_softmax(images, tensor)
-    largest = softmax.max(axis=1)
-    values = torch.from_numpy(largest).to(batch.points.device)
-    found = on_device.region_means(labelled, values.reshape(-1)).cpu().numpy()
-    for number, image in enumerate(single_images(batch, scans)):
-        means = np.zeros(largest.shape[1:], np.float32)
-        classes = coarse[number].argmax(axis=0).astype(np.uint8)
-        mean_of_regions(image.channels[0] > 0, classes, largest[number], means)
-        means_on_device = found.reshape(largest.shape)[number]
-        np.testing.assert_allclose(means_on_device, means, rtol=1e-6)
 
 
 @on_each_device
@@ -91,7 +75,9 @@ def test_the_probability_is_that_of_the_model(described, scans, temperature):
         model.probability(error_features(image, *pair))
         for image, *pair in zip(single_images(batch, scans), scaled, labels_of_scans, strict=True)
     ]
-    np.testing.assert_allclose(found.cpu().numpy(), np.concatenate(expected), rtol=1e-3, atol=1e-5)
+    probability = found.probability.cpu().numpy()
+    np.testing.assert_allclose(probability, np.concatenate(expected), rtol=1e-3, atol=1e-5)
+    assert found.is_final.all()
 
 
 @on_each_device

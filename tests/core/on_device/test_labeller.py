@@ -16,9 +16,8 @@ from salsanext_cli import Network, Scan, load_network
 from salsanext_cli.core.classes.merging import ClassMerging
 from salsanext_cli.core.errors import FormatError, WeightsError
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
-from salsanext_cli.core.label_request import LabelRequest
 from salsanext_cli.core.labellers import KernelLabeller, Labeller
-from salsanext_cli.core.labelling import LabelledScan
+from salsanext_cli.core.labelling import LabelledScan, LabelRequest
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.on_device.labeller import DeviceLabeller
 from salsanext_cli.core.uncertainty.error_features import FEATURES
@@ -80,6 +79,16 @@ def test_results_are_those_of_the_kernels(network, weights, request_):
     found = labelled_by(on_device, SCANS)
     assert found[0].checked.check.ego_points > 0
     assert_same(found, labelled_by(kernels, SCANS))
+
+
+@on_each_device
+def test_errors_are_final_after_any_number_of_rounds(network, weights):
+    """Regions that need more rounds than a batch has are joined again."""
+    on_device, kernels = both(network, ALL_RESULTS, weights)
+    prepared = on_device.prepare(SCANS[0])
+    (computed,) = on_device.compute([prepared], rounds=1)
+    assert not computed.results()["is_final"]
+    assert_same([on_device.finish(prepared, computed)], labelled_by(kernels, SCANS[:1]))
 
 
 @on_each_device

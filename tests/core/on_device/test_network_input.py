@@ -23,7 +23,7 @@ SQUARES = tuple(np.square(np.linspace(0, 3, INTENSITY_LEVELS)).tolist())
 
 
 def assert_same_inputs(batch, scans, trained):
-    found = network_inputs(project_batch(batch), batch.sensors, trained)
+    found = network_inputs(project_batch(batch).channels, batch.sensors, trained)
     expected = [
         network_input(project(scan, own).channels, own, trained)
         for scan, own in zip(scans, batch.sensors, strict=True)

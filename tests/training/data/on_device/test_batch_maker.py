@@ -11,7 +11,7 @@ import pytest
 import torch
 from scans import SMALL, real_scans, write_bin, write_sequence
 from stored import maker_of, round_to_half, with_statistics
-from waiting import META, NoWaiting
+from waiting import META, WaitsRefused
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli import sensor as named_sensor
@@ -194,7 +194,7 @@ def test_the_host_waits_for_nothing_in_a_batch(files, monkeypatch) -> None:
             scans[key] = StoredScan(values=scan.values.to(META), targets=scan.targets.to(META))
     for position in range(4):
         keys = [(position, 0), (position + 1, 3)]
-        with NoWaiting():
+        with WaitsRefused():
             images, truth = replace(maker, device=META).make(keys)
         assert images.device == truth.device == META
         assert images.shape == (2, 5, SMALL.height, 32)

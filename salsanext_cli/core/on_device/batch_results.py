@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: MIT
 """Results of a batch on their way from a device, which the next batch need not wait for."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 from torch import Tensor
 
 from salsanext_cli.core.engines.device_copies import HostCopies
-from salsanext_cli.core.on_device.device_labels import DeviceLabels
+from salsanext_cli.core.on_device.regions import ROUNDS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LabelledBatch:
-    """Results of B scans with P points in all, as attributes of `DeviceLabels`.
+class BatchResults:
+    """Results of B scans with P points in all, by name.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class LabelledBatch:
         counts: Sequence[int],
         point_values: Mapping[str, Tensor],
         scan_values: Mapping[str, Tensor],
-    ) -> "LabelledBatch":
+    ) -> Self:
         """Begin to copy results of points (P, …) and of scans (B, …) from their device."""
         return cls(
             counts=counts,
@@ -44,7 +45,7 @@ class LabelledBatch:
             copies=HostCopies.of([*point_values.values(), *scan_values.values()]),
         )
 
-    def labels_of(self, number: int) -> DeviceLabels:
+    def results_of(self, number: int) -> dict[str, Any]:
         """Wait for the results, and return copies of those of a scan, on any thread.
 
         No scan keeps the arrays of the batch.
@@ -55,5 +56,49 @@ class LabelledBatch:
         point_arrays = zip(self.point_names, arrays, strict=False)
         scan_arrays = zip(self.scan_names, arrays[len(self.point_names) :], strict=True)
         results = {name: array[points].copy() for name, array in point_arrays}
-        results |= {name: array[number].copy() for name, array in scan_arrays}
-        return DeviceLabels(**results)
+        return results | {name: array[number].copy() for name, array in scan_arrays}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScanOfBatch:
+    """Scan of a batch whose results are on their way from a device.
+
+    Attributes
+    ----------
+    batch : BatchResults
+        Results of all scans of the batch.
+    number : int
+        Number of the scan in the batch.
+    """
+
+    batch: BatchResults
+    number: int
+
+    def results(self) -> dict[str, Any]:
+        """Wait for the results of the scan, and return them by name."""
+        return self.batch.results_of(self.number)
+
+
+def final_results(
+    computed: ScanOfBatch, compute_again: Callable[[int], ScanOfBatch]
+) -> dict[str, Any]:
+    """Return the results of a scan, computed again while its regions needed more rounds.
+
+    Parameters
+    ----------
+    computed : ScanOfBatch
+        The scan, after `ROUNDS` rounds; `is_final` among its results is whether they were enough.
+    compute_again : callable
+        Function of a number of rounds to the scan.
+
+    Returns
+    -------
+    dict
+        Results by name.
+    """
+    results = computed.results()
+    rounds = ROUNDS
+    while not results.get("is_final", True):
+        rounds *= 2
+        results = compute_again(rounds).results()
+    return results
