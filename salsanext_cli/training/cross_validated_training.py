@@ -23,6 +23,7 @@ from salsanext_cli.training.cross_validation import Expectation, Parts, expectat
 from salsanext_cli.training.data.dataset import SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.fit import FinishedEpoch, StepReport
+from salsanext_cli.training.learner import network_in_training
 from salsanext_cli.training.scoring.validation import validate
 from salsanext_cli.training.setup import Setup
 from salsanext_cli.training.tuning.error import (
@@ -121,7 +122,7 @@ class CrossValidatedTraining:
         """Return mean IoU and accuracy before training, means over the folds."""
         setup = self.setup
         module = copy.deepcopy(setup.initial).to(setup.device).eval()
-        network = network_of_module(module, setup.card, str(setup.device))
+        network = network_in_training(module, setup.card, setup.recipe, setup.device)
         rows = [
             validate(network, replace(self.data_set, files=fold), setup.group)[0] for fold in folds
         ]

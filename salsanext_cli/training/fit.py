@@ -18,7 +18,6 @@ from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
@@ -158,7 +157,9 @@ class Training:
             # On CPUs the workers' statistics of batch norm differ; the main worker's are saved.
             group.broadcast(self.learner.average.buffers())
             widths = recipe.image_widths
-            measured, card = validate_widths(self._network(), self.validation, widths, group)
+            measured, card = validate_widths(
+                self.learner.network(self.card), self.validation, widths, group
+            )
             row |= measured
         if group.is_main:
             self._write(state, row, card)
@@ -167,11 +168,6 @@ class Training:
             # Last, so that a training that is killed before repeats the epoch with its pictures.
             save_checkpoint(self.run / CHECKPOINT, self.learner, state)
         self._report(state, step, row)
-
-    def _network(self) -> Network:
-        """Return the network of the present weights."""
-        module = self.learner.average.eval()
-        return network_of_module(module, self.card, str(self.learner.device))
 
     def _notify(self, watch: EpochWatch, state: TrainingState) -> None:
         """Call what shows an epoch; an error there does not end the training."""
@@ -194,7 +190,7 @@ class Training:
             page_folder=self.run,
             rows=state.rows,
             epochs=self.learner.recipe.epochs,
-            network=self._network(),
+            network=self.learner.network(self.card),
             scans=scans,
             is_validation=bool(self.validation.files),
         )

@@ -9,16 +9,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.optim import SGD, AdamW, Optimizer
-from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from salsanext_cli.core.engines.device import PRECISIONS, bfloat16_instructions
+from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import keep_ends_in_float32, set_up_cuda
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
+from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.fused_step import is_fused, skip_step
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.running_average import RunningAverage
 
 BFLOAT16_CAPABILITY = 8  # Lowest compute capability (major) with bfloat16: Ampere
 DROPOUT = 2  # Part of the seed of dropout; `dataset` has the others
@@ -70,12 +73,20 @@ class Learner:
         self.module = module
         self.device = device
         self.group = group
-        self.average = copy.deepcopy(module).eval() if recipe.average else module
+        self.average = module
+        self.running_average: RunningAverage | None = None
+        if recipe.average:
+            self.average = copy.deepcopy(module).eval()
+            self.running_average = RunningAverage(self.average, module, recipe.average)
         self.loss = SegmentationLoss(weights, recipe.lovasz, sets).to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe, fused=device.type == "cuda")
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
+
+    def network(self, card: WeightsCard) -> Network:
+        """Return the network of the present weights, to validate it."""
+        return network_in_training(self.average.eval(), card, self.recipe, self.device)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> Tensor:
         """Learn from a worker's images (B, 5, H, W), and truth (B, H, W) uint8.
@@ -142,10 +153,21 @@ class Learner:
             skip_step(self.optimiser, ~finite)
         if fused or finite:
             self.scaler.step(self.optimiser)
-            if self.average is not self.module:
-                update_average(self.average, self.module, self.recipe.average, step)
+            if self.running_average is not None:
+                self.running_average.update(step)
         self.scaler.update()
         return finite
+
+
+def network_in_training(
+    module: SegmentationNetwork, card: WeightsCard, recipe: Recipe, device: torch.device
+) -> Network:
+    """Return the network of a module on the device of its training, to validate it.
+
+    On a GPU it computes in the number type of the training, on a CPU in float32.
+    """
+    precision = recipe.precision if device.type == "cuda" else "float32"
+    return network_of_module(module, card, str(device), precision)
 
 
 def seed_dropout(seed: int, device: torch.device) -> None:
@@ -190,18 +212,3 @@ def learning_rate(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
 
 def _half_cosine(start: float, end: float, progress: float) -> float:
     return end + (start - end) * (1 + math.cos(math.pi * progress)) / 2
-
-
-@torch.no_grad()
-def update_average(average: nn.Module, module: nn.Module, decay: float, step: int) -> None:
-    """Move the running average of the weights towards a module, batch norm's statistics too."""
-    # The first steps move it farther, so that the initial weights soon lose their influence.
-    decay = min(decay, (1 + step) / (10 + step))
-    pairs = [*zip(average.state_dict().values(), module.state_dict().values(), strict=True)]
-    floating = [pair for pair in pairs if pair[0].is_floating_point()]
-    averages = [old for old, _ in floating]
-    values = [new for _, new in floating]
-    get_ema_multi_avg_fn(decay)(averages, values, None)  # type: ignore[no-untyped-call]
-    for old, new in pairs:
-        if not old.is_floating_point():
-            old.copy_(new)

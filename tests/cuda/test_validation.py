@@ -5,10 +5,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
-from devices import on_both
+from devices import CUDA, on_both, waits_refused
 from scans import write_sequence
 from shallow import shallow, weights  # noqa: F401
+from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import load_network
 from salsanext_cli.runs.loop.network_task import network_pipeline
@@ -39,3 +41,20 @@ def test_a_device_validates_as_the_kernels_do(tmp_path, weights, device, precisi
         is_same = np.isclose(one.logits, other.logits, atol=1e-3).all(axis=0)
         assert is_same.mean() > 0.99
         assert torch.equal(one.truth, other.truth)
+
+
+@pytest.mark.parametrize("device", [pytest.param("cuda", marks=CUDA)])
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode")
+def test_a_batch_waits_for_nothing(tmp_path, weights, device):
+    """On the CPU `test_the_host_waits_for_no_batch` says the same."""
+    files = find_scans(write_sequence(tmp_path / "08", ["a", "b"], count=900))
+    network = for_unlike_sensor(load_network(weights, device, precision="float16", engine="torch"))
+    source = Source(files=files, space=network.card.space, sensor=network.sensor)
+    job = DeviceValidation(network=network, source=source)
+    prepared = [job.prepare(file) for file in files]
+    first = job.compute(prepared)
+    with waits_refused():
+        second = job.compute(prepared)
+    for scan, one, other in zip(prepared, first, second, strict=True):
+        confusion = job.finish(scan, one).confusion
+        np.testing.assert_array_equal(job.finish(scan, other).confusion, confusion)

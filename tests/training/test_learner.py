@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
-from collections.abc import Callable
 
 import pytest
 import torch
+from scans import SMALL
 from tiny_network import CLASS_WEIGHTS, TinyNetwork, batch, learner
 from torch import Tensor, nn
-from waiting import META, NoWaiting
+from waiting import META, WaitsRefused
 
+from salsanext_cli import label_space
+from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.training.learner import (
     Learner,
     build_optimiser,
     fastest_precision,
     learning_rate,
     seed_dropout,
-    update_average,
 )
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.running_average import RunningAverage
 
 CPU = torch.device("cpu")
 
@@ -110,7 +112,9 @@ def test_the_host_waits_for_nothing_in_a_step(changes: dict[str, object], is_the
     learning.device = META
     # A fused optimiser does not support this device, so its kernel is replaced.
     learning.module = learning.forward = learning.module.to(META)
-    learning.average = learning.average.to(META) if recipe.average else learning.module
+    learning.average = learning.average.to(META)
+    if recipe.average:
+        learning.running_average = RunningAverage(learning.average, learning.module, recipe.average)
     learning.loss.to(META)
     learning.optimiser = build_optimiser(learning.module, recipe)
     learning.optimiser.defaults["fused"] = True
@@ -120,26 +124,8 @@ def test_the_host_waits_for_nothing_in_a_step(changes: dict[str, object], is_the
     if is_there:
         images = images.to(META)
         truth = truth.to(META)
-    with NoWaiting(pinned=[images, truth]):
+    with WaitsRefused(pinned=[images, truth]):
         assert learning.step(images, truth, 0, 10).device == META
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda there: torch.tensor([1.0], device=META),
-        lambda there: there.new_tensor([1.0]),
-        lambda there: torch.ones(3).to(META, non_blocking=True),
-        lambda there: there[[0, 1]],
-        lambda there: there[torch.tensor([0, 1])],
-        lambda there: there[there > 0],
-        lambda there: there.sum().item(),
-    ],
-)
-def test_what_waits_is_seen(call: Callable[[Tensor], object]) -> None:
-    there = torch.ones(3, device=META)
-    with NoWaiting(), pytest.raises((AssertionError, RuntimeError, NotImplementedError)):
-        call(there)
 
 
 def test_clipping_bounds_the_gradient() -> None:
@@ -241,7 +227,7 @@ def test_steps_with_overflow_in_float16_are_skipped_and_the_scale_falls() -> Non
     assert learning.scaler.get_scale() < 2.0**40
 
 
-# Optimiser, learning rate and average
+# Optimiser, learning rate and validation
 
 
 def test_sgd_and_its_decay_are_the_papers():
@@ -272,18 +258,14 @@ def test_one_cycle_is_torchs() -> None:
             cycle.step()
 
 
-def test_the_average_includes_batch_norm_and_soon_leaves_the_initial_weights() -> None:
-    average, new = nn.BatchNorm2d(1), nn.BatchNorm2d(1)
-    new.weight.data.fill_(3.0)
-    new.running_mean.fill_(1.0)
-    new.num_batches_tracked.fill_(7)
-    update_average(average, new, 0.9, step=1000)
-    assert float(average.weight.detach()) == pytest.approx(1.2)
-    assert float(average.running_mean) == pytest.approx(0.1)
-    assert int(average.num_batches_tracked) == 7
-    for step in range(30):
-        update_average(average, new, 0.999, step)
-    assert float(average.weight.detach()) > 2.98
+@pytest.mark.parametrize(("device", "precision"), [("cpu", "float32"), ("cuda", "bfloat16")])
+def test_a_gpu_validates_in_the_number_type_of_the_training(device, precision, monkeypatch):
+    monkeypatch.setattr("salsanext_cli.core.engines.torch_backend.set_up_cuda", lambda: None)
+    learning = learner(precision="bfloat16", average=0.9)
+    learning.device = torch.device(device)
+    network = learning.network(WeightsCard({}, label_space(), SMALL))
+    assert network.module is learning.average
+    assert (network.device, network.backend.precision) == (device, precision)
 
 
 @pytest.mark.parametrize(

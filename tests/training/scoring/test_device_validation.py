@@ -2,6 +2,7 @@
 """Validation on a device, beside that of the CPU kernels."""
 
 # ruff: noqa: F811
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,11 @@ import pytest
 import torch
 from scans import SMALL, write_sequence
 from shallow import shallow, weights  # noqa: F401
-from waiting import META, NoWaiting
+from unlike_sensors import for_unlike_sensor
+from waiting import META, WaitsRefused
 
 from salsanext_cli import load_network
+from salsanext_cli.core.engines.device_copies import HostCopies
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.training.data.sources import Source
@@ -63,9 +66,28 @@ def test_a_sample_is_every_so_many_of_the_usable_points(scans: int, monkeypatch)
         assert points[:taken].tolist() == usable[::every].tolist()
         start += count
     there = torch.from_numpy(is_usable).to(META)
-    with NoWaiting():
+    with WaitsRefused():
         assert sampled_points(there, counts, scans).point.is_meta
     assert sampled_points(torch.zeros(0, dtype=torch.bool), [0], 1).count.tolist() == [0]
+
+
+def test_the_host_waits_for_no_batch(tmp_path: Path, weights: Path, monkeypatch) -> None:
+    """Device "meta" stands for the GPU."""
+    files = find_scans(write_sequence(tmp_path / "08", ["a", "b"], count=400))
+    network = for_unlike_sensor(load_network(weights, "cpu", engine="torch"))
+    on_meta = copy.deepcopy(network.module).to(META)
+    backend = replace(network.backend, load_module=lambda: on_meta, device="meta", records=False)
+    network = replace(network, backend=backend)
+    source = Source(files=files, space=network.card.space, sensor=network.sensor)
+    job = device_validation.DeviceValidation(network=network, source=source)
+    prepared = [job.prepare(file) for file in files]
+    pinned = [scan.points.points for scan in prepared]
+    pinned += [scan.points.intensity for scan in prepared]
+    copied: list[torch.Tensor] = []
+    monkeypatch.setattr(HostCopies, "of", copied.extend)
+    with WaitsRefused(pinned):
+        job.compute(prepared)
+    assert [tensor.device.type for tensor in copied] == ["meta"] * 4
 
 
 def test_scores_of_a_device_are_those_of_the_validation(tmp_path, weights, monkeypatch) -> None:

@@ -19,6 +19,11 @@ from salsanext_cli.training.step_memory import StepMemory
 ESTIMATED_SCANS = 8  # Scans of a data set that are read for the estimate
 BYTES_PER_IMAGE = 150_000_000
 """Memory to make an image of a batch: 92 MB were measured with `modern` and 120 000 points."""
+VALIDATION_BYTES = {"float32": 9_600_000_000, "bfloat16": 2_700_000_000, "float16": 2_700_000_000}
+"""Peak of the network on the largest batch of a validation, by number type.
+
+docs/experiments/gpu-h200.json has the measurements; the highest of them counts here.
+"""
 USED_SHARE = 0.8  # Largest share of the available memory that scans should need
 
 log = logging.getLogger(__name__)
@@ -57,12 +62,22 @@ class DeviceRoom:
 
     @property
     def reserve(self) -> int:
-        """Bytes of the device that stay free for steps and samples: half for unknown steps."""
+        """Bytes of the device that stay free for steps, validation and samples.
+
+        It is half of the device for unknown steps.
+        """
         if self.step is not None:
             images = math.ceil(self.step.recipe.batch / self.workers)
-            return self.step.room + images * BYTES_PER_IMAGE
+            return max(self.step.room, self._validation) + images * BYTES_PER_IMAGE
         memory = memory_of(str(self.device))
         return memory.total // 2 if memory else 0
+
+    @property
+    def _validation(self) -> int:
+        """Bytes that a validation needs after the steps; a CPU validates scan by scan."""
+        if self.step is None or self.device.type == "cpu":
+            return 0
+        return VALIDATION_BYTES[self.step.recipe.precision]
 
     def has_room_for(self, sources: Sequence[Source]) -> bool:
         """Return whether the scans fit into the device and the host together; log if not."""

@@ -45,7 +45,10 @@ class ScanMemory:
     _used: int = 0  # Its number of points
 
     def put(self, values: Tensor, targets: Tensor) -> StoredScan:
-        """Copy a scan, values (N, 4) float16 and targets (N,) uint8, and return the copy."""
+        """Copy a scan, values (N, 4) float16 and targets (N,) uint8, and return the copy.
+
+        A GPU may still copy from page-locked memory when it returns; `wait` waits for it.
+        """
         count = len(targets)
         if self._block is None or self._used + count > len(self._block):
             self._block = self._new_block(max(count, BLOCK_POINTS))
@@ -53,9 +56,14 @@ class ScanMemory:
         place = slice(self._used, self._used + count)
         self._used += count
         stored = StoredScan(values=self._block.values[place], targets=self._block.targets[place])
-        stored.values.copy_(values)
-        stored.targets.copy_(targets)
+        stored.values.copy_(values, non_blocking=True)
+        stored.targets.copy_(targets, non_blocking=True)
         return stored
+
+    def wait(self) -> None:
+        """Wait until the scans that were put are there, for streams that read them."""
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
 
     def fill(self) -> None:
         """Put further scans on the host, as if the device had no room."""

@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from salsanext_cli.core.classes.label_space import TrainIds
+from salsanext_cli.core.engines.device_copies import pinned_array
 from salsanext_cli.core.records import MAX_INTENSITY, Mask, Scan
 from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
@@ -63,14 +65,16 @@ class ScanStore:
         missing = [key for key in keys if key not in self.whole]
         if not missing:
             return keys
+        device = self.memory.device
         run = joblib.Parallel(self.jobs, backend="threading", return_as="generator")
         calls = [
-            joblib.delayed(read_half)(sources[number], file, self.sets, self.rare)
+            joblib.delayed(read_half)(sources[number], file, self.sets, self.rare, device)
             for number, file in missing
         ]
         scans = with_progress(run(calls), len(missing))
         for key, scan in zip(missing, scans, strict=True):
             self._put(key, scan)
+        self.memory.wait()
         return keys
 
     def move_to_host(self) -> bool:
@@ -98,6 +102,7 @@ class ScanStore:
         self.memory.fill()
         for scans, key in moving:
             scans[key] = self.memory.put(scans[key].values, scans[key].targets)
+        self.memory.wait()
         torch.cuda.empty_cache()
         return True
 
@@ -115,19 +120,27 @@ def half_of_blocks(scans: Sequence[StoredScan]) -> list[int]:
     return [i for i, block in enumerate(block_of_scan) if block in chosen]
 
 
-def read_half(source: Source, file: ScanFile, sets: ClassSets, rare: Mask | None) -> ReadScan:
-    """Read a scan and its targets as they are stored, on the host, with its rare targets."""
+def read_half(
+    source: Source, file: ScanFile, sets: ClassSets, rare: Mask | None, device: torch.device
+) -> ReadScan:
+    """Read a scan and its targets as they are stored, with its rare targets.
+
+    They are on the host, in memory that the device reads directly.
+    """
     annotated = source.read(file, sets)
     values = half_values(annotated.scan)
     targets = annotated.labels
-    whole = StoredScan(values=torch.from_numpy(values), targets=torch.from_numpy(targets))
+    whole = _on_host(values, targets, device)
     if rare is None:
         return ReadScan(whole=whole)
     is_rare = rare[targets]
-    pasted = StoredScan(
-        values=torch.from_numpy(values[is_rare]), targets=torch.from_numpy(targets[is_rare])
-    )
-    return ReadScan(whole=whole, pasted=pasted)
+    return ReadScan(whole=whole, pasted=_on_host(values[is_rare], targets[is_rare], device))
+
+
+def _on_host(
+    values: npt.NDArray[np.float16], targets: TrainIds, device: torch.device
+) -> StoredScan:
+    return StoredScan(values=pinned_array(values, device), targets=pinned_array(targets, device))
 
 
 def half_values(scan: Scan) -> npt.NDArray[np.float16]:

@@ -18,6 +18,7 @@ from salsanext_cli.training.memory import Memory
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.step_memory import StepMemory
 
+PRECISIONS = ("float32", "bfloat16", "float16")
 CPU, CUDA = torch.device("cpu"), torch.device("cuda:0")
 
 
@@ -27,6 +28,7 @@ def memory(monkeypatch: pytest.MonkeyPatch) -> dict[str, Memory]:
     memory = {"cpu": Memory(total=3000, available=1000), "cuda:0": Memory(total=500, available=400)}
     monkeypatch.setattr(device_room, "memory_of", memory.get)
     monkeypatch.setattr(device_room, "host_reserve", lambda host: host.total // 30)
+    monkeypatch.setattr(device_room, "VALIDATION_BYTES", dict.fromkeys(PRECISIONS, 0))
     return memory
 
 
@@ -58,10 +60,9 @@ def test_scans_may_fill_four_fifths_of_device_and_host(
 ):
     caplog.set_level(NOTICE)
     needed = {"first": 2 * most, "second": 2 * most + 2}
-    monkeypatch.setattr(device_room, "BYTES_PER_IMAGE", 10)
+    monkeypatch.setattr(device_room, "BYTES_PER_IMAGE", 0)
     monkeypatch.setattr(device_room, "bytes_of_scans", needed.get)
-    # Each of two workers makes three images.
-    step = SimpleNamespace(room=reserve - 30, recipe=Recipe(batch=5))
+    step = SimpleNamespace(room=reserve, recipe=Recipe())
     room = DeviceRoom(device=device, step=step, workers=2, workers_here=workers_here)
     assert room.has_room_for("first")
     assert not caplog.messages
@@ -82,3 +83,14 @@ def test_steps_have_what_they_need_or_half_of_the_device() -> None:
     images = DeviceRoom(device=CUDA, step=step, workers=5)
     assert images.reserve == step.room + 5 * device_room.BYTES_PER_IMAGE
     assert DeviceRoom(device=CUDA, step=None).reserve == 250
+
+
+@pytest.mark.parametrize(("device", "room"), [(CPU, 0), (CUDA, 90)])
+def test_a_validation_on_a_gpu_has_what_it_needs(monkeypatch, device, room):
+    """It comes after the steps, so that the larger of both counts."""
+    monkeypatch.setattr(device_room, "BYTES_PER_IMAGE", 10)
+    monkeypatch.setattr(device_room, "VALIDATION_BYTES", {"bfloat16": 90})
+    recipe = Recipe(batch=2, precision="bfloat16")
+    for needed in (20, 100):
+        step = SimpleNamespace(room=needed, recipe=recipe)
+        assert DeviceRoom(device=device, step=step).reserve == max(needed, room) + 20

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scans import refused
 from stored import CPU
+from waiting import META, WaitsRefused
 
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.notices import NOTICE
@@ -112,3 +113,13 @@ def test_filled_memory_leaves_the_rest_of_its_block(blocks, monkeypatch):
     memory.fill()
     memory.put(*scan(4, 1))
     assert blocks == [("cuda", False), ("cpu", True)]
+
+
+def test_the_host_waits_for_no_scan(monkeypatch):
+    """Scans of the reading threads are in page-locked memory; "meta" stands for the GPU."""
+    monkeypatch.setattr(scan_memory, "memory_of", lambda _: None)
+    memory = ScanMemory(device=META)
+    values, targets = scan(4, 1)
+    with WaitsRefused(pinned=[values, targets]):
+        stored = memory.put(values, targets)
+    assert stored.values.device == stored.targets.device == META
