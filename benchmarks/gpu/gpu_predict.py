@@ -12,6 +12,7 @@ from pathlib import Path
 from benchmarks.finished_scans import FinishedScans
 from benchmarks.gpu.gpu_measures import Figures
 from benchmarks.gpu.gpu_use import mean_text, utilisation
+from benchmarks.gpu.time_limit import TimeOverError
 from salsanext_cli.commands.stages.predict import PredictOutcome, predict_scans
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.loop.measured_workers import FIRST_SCANS
@@ -26,10 +27,6 @@ WORKERS_BY_DEFAULT = 8  # For which a run has scans whose workers are chosen by 
 WARM_SHARE = 4  # One of so many scans is not counted, since the network is loaded meanwhile
 FEWEST_SCANS = 8
 KIND = "predict, toolkit"  # Calls by which the time of a scan is expected
-
-
-class TimeOverError(Exception):
-    """No time is left for the other scans of a run."""
 
 
 @dataclass(frozen=True, kw_only=True)

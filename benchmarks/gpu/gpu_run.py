@@ -40,6 +40,7 @@ TESTS = (
 SHARE_OF_STARTED_TESTS = 0.7  # Of the time of the tests; the last of them ends in the rest
 GRACE_S = 20.0  # Time in which a part may still write, at the end of its own
 GRACE_SHARE = 0.2  # Of the time of a short part
+SHARE_BEFORE_END = 0.5  # Of the grace, after which a part is ended where it is
 KILLED = 124
 
 
@@ -77,7 +78,7 @@ def run_part(
     grace = min(GRACE_S, GRACE_SHARE * seconds)
     end = time.monotonic() + seconds - grace  # By the clock of all processes
     words = ["--part", part, "--deadline", f"{end:.3f}", "--figures", str(figures)]
-    words += ["--parent", str(os.getpid())]
+    words += ["--last", f"{end + SHARE_BEFORE_END * grace:.3f}", "--parent", str(os.getpid())]
     command = script_command("benchmarks.gpu.gpu_run", *options.words, *words)
     environment = {**script_environment(), "PYTHONUNBUFFERED": "1"}
     tell(log, f"\n== {part}, {seconds:.0f} s\n")
@@ -128,6 +129,7 @@ def work(options: argparse.Namespace) -> int:
     # Only here: the whole run needs no torch.
     from benchmarks.gpu.gpu_measures import Figures, machine
     from benchmarks.gpu.gpu_use import mean_text, utilisation
+    from benchmarks.gpu.time_limit import TimeOverError, time_limit
     from salsanext_cli.core.engines.device import choose_device
     from salsanext_cli.io.weights.card_file import default_weights
     from salsanext_cli.runs.loop.pool import end_with_parent
@@ -139,7 +141,11 @@ def work(options: argparse.Namespace) -> int:
     weights = options.weights or default_weights()
     with utilisation(figures.device) as used:
         try:
-            status = measure(options, figures, weights)
+            with time_limit(options.last):
+                status = measure(options, figures, weights)
+        except TimeOverError:
+            figures.add(f"the part {options.part}", "ended by its time: the rest is missing")
+            status = 0
         except Exception:  # noqa: BLE001 - whatever it is, the log has it
             traceback.print_exc()
             status = 1
@@ -163,16 +169,16 @@ def measure(options: argparse.Namespace, figures: Any, weights: Path) -> int:
     else:
         from benchmarks.gpu import gpu_train
 
-        gpu_train.train(
-            figures,
-            options.out,
-            scratch,
-            weights,
+        request = gpu_train.TrainRequest(
+            out=options.out,
+            scratch=scratch,
+            weights=weights,
             seed=options.seed,
             pack=options.pack,
             changes=options.set,
             small=options.small,
         )
+        gpu_train.train(figures, request)
     return 0
 
 
@@ -224,7 +230,9 @@ def main(*words: str) -> int:
     parser.add_argument("--set", action="append", default=[], help="key=value of the recipe")
     parser.add_argument("--small", action="store_true", help="tiny images, to check the script")
     # Of the process of one part
-    for name, kind in (("part", str), ("deadline", float), ("figures", Path), ("parent", int)):
+    for name in ("deadline", "last"):
+        parser.add_argument(f"--{name}", type=float, help=argparse.SUPPRESS)
+    for name, kind in (("part", str), ("figures", Path), ("parent", int)):
         parser.add_argument(f"--{name}", type=kind, help=argparse.SUPPRESS)
     options = parser.parse_args(words)
     options.words = words

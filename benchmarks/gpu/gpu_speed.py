@@ -58,11 +58,12 @@ def measure(figures: Figures, weights: Path, *, small: bool = False) -> None:
         scans = sorted((folder / "sequences/000000/velodyne").iterdir())
         tiny = replace(trained, height=16, width=64)
         sensors = [tiny] if small else [replace(trained, width=width) for width in WIDTHS]
-        scans_of_worker = SCANS if small else SCANS_OF_WORKER
+        scans_of_worker = FEWEST if small else SCANS_OF_WORKER
+        passes = FEWEST if small else SAMPLES
         measure_runs(figures, weights, sensors[-1], scans, AS_TYPED, scans_of_worker)
         for sensor in sensors:
-            measure_parts(figures, weights, sensor, scans[0], FEWEST if small else SAMPLES)
-            measure_points(figures, weights, sensor, scans[0])
+            measure_parts(figures, weights, sensor, scans[0], passes)
+            measure_points(figures, weights, sensor, scans[0], passes)
         for sensor in sensors[:-1]:
             measure_runs(figures, weights, sensor, scans, AS_TYPED, scans_of_worker)
         for sensor in sensors:

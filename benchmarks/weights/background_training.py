@@ -21,7 +21,8 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.gpu.gpu_train import DESCRIPTION, real_sources, training_data
+from benchmarks.gpu.gpu_train import DESCRIPTION
+from benchmarks.gpu.gpu_train_data import real_scans, training_data
 from benchmarks.weights.finish_weights import remove_class_weights
 from benchmarks.weights.scene_pool import KINDS, ScenePool
 from salsanext_cli.commands.line.values.recipe_changes import read_overrides
@@ -102,18 +103,19 @@ def training_of(
     module, card = initial_network(weights, label_space(), how, given)
     pool = ScenePool(scenes, card.sensor)
     simulated = {kind: ScenePool(held_out, card.sensor).source(kind) for kind in KINDS}
-    sources, late = real_sources({root.name: root for root in real}, run, card.sensor, 1)
+    packed = real_scans({root.name: root for root in real}, run, card.sensor, 1)
     validation = simulated[KINDS[0]]
-    data = training_data(run / CLASS_COUNTS, pool, sources, validation, how, card, 1)
+    data = training_data(run / CLASS_COUNTS, pool, packed.training, validation, how, card, 1)
     name = named_weights(read_card(weights), weights)
+    also = " and real scans" if packed.training else ""
     card = replace(
         card,
         trained_on=card.trained_on | data.digests,
         recipe=how.to_dict() | {"initial": name},
-        description=DESCRIPTION.format(also=" and real scans" if sources else "", weights=name),
+        description=DESCRIPTION.format(also=also, weights=name),
     )
     learner = Learner(module, how, data.weights, torch.device("cpu"), sets=data.samples.sets)
-    scoring = Scoring(run, card, simulated | late, learner)
+    scoring = Scoring(run, card, simulated | packed.held_out, learner)
     nothing = replace(validation, files=[])
     return Training(
         run=run,

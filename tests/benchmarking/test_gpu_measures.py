@@ -11,8 +11,9 @@ import pytest
 
 from benchmarks.gpu import gpu_predict, tests_in_time
 from benchmarks.gpu.gpu_measures import NETWORK, Figures
-from benchmarks.gpu.gpu_predict import Countdown, FolderRun, TimeOverError
+from benchmarks.gpu.gpu_predict import Countdown, FolderRun
 from benchmarks.gpu.gpu_use import mean_text, read_numbers, started, utilisation
+from benchmarks.gpu.time_limit import TimeOverError, time_limit
 from benchmarks.processes import ROOT
 from salsanext_cli.commands.stages.predict import PredictOutcome
 from salsanext_cli.runs.loop.measured_workers import FIRST_SCANS
@@ -101,3 +102,16 @@ def test_the_use_of_a_gpu_is_read_line_by_line():
         pass
     assert used == []
     assert started(("no-such-program-at-all",)) is None
+
+
+def test_a_part_ends_with_its_time_whatever_it_does(monkeypatch):
+    """Also one that ends a measurement by the first interruption, and begins another."""
+    monkeypatch.setattr("benchmarks.gpu.time_limit.AGAIN_S", 0.02)
+    interruptions = 0
+    with time_limit(time.monotonic() + 0.02):
+        while interruptions < 2:
+            try:
+                time.sleep(5)
+            except TimeOverError:
+                interruptions += 1
+    time.sleep(0.04)  # Nothing interrupts what follows.

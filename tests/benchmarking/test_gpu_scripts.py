@@ -9,7 +9,7 @@ import pytest
 from scans import SMALL, write_bin, write_sequence
 
 from benchmarks.gpu import gpu_run
-from benchmarks.gpu.gpu_train import source_of
+from benchmarks.gpu.gpu_train_data import source_of
 from benchmarks.weights import pack
 from benchmarks.weights.default_weights import LABEL_SPACES, simulated_scans
 from benchmarks.weights.ray_casting import RayScene
