@@ -577,3 +577,22 @@ def test_the_driver_is_alive_while_it_waits_for_the_checks_of_nodes(monkeypatch)
     assert not room.driver.begin()
     assert len(room.sent_of(Alive)) == nodes_module.CHECK_TIMEOUT_S / nodes_module.NODE_INTERVAL_S
     assert room.sent[-1].ends_run
+
+
+def test_all_workers_of_a_lost_node_are_lost_with_it(monkeypatch):
+    monkeypatch.setattr(driver_module, "NODE_INTERVAL_S", 0.0)
+    room = Room(8, 4)
+    room.start("id0", "id0", "id1")
+    for number in (1, 2):
+        room.driver.take(PackedChunk(number=number, scans=b"scans", is_alone=True))
+    room.cluster.all = [node(1, 4)]
+    room.cluster.problems["id0"] = NodeError()
+    for worker in (1, 2):
+        room.answer("attempt", LossError(), worker=worker)
+    assert room.sent_of(LostWorker) == [
+        LostWorker(node="node0", chunks=(number,), is_node_lost=True) for number in (1, 2)
+    ]
+    # The third worker goes on, and no node is excluded.
+    room.start()
+    assert [member.node for member in room.driver.crew.open_members()] == ["id1"]
+    assert not room.driver.nodes.unusable

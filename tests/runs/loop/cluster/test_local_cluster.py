@@ -24,7 +24,7 @@ def titles_of_children(parent: int) -> dict[int, str]:
         try:
             # The name before it, in parentheses, may contain spaces.
             parent_of_it = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-            title = (folder / "cmdline").read_bytes().partition(b"\0")[0].decode()
+            title = (folder / "cmdline").read_bytes().partition(b"\0")[0].decode().strip()
         except OSError:
             continue  # It has ended.
         if int(parent_of_it) == parent:
