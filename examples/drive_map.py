@@ -17,7 +17,7 @@ import numpy as np
 
 import salsanext_cli as sn
 from salsanext_cli.runs.drives.drive_record import recorded_drive
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 def points_of_scan(scan: Path, labels: Path, pose: Any, space: sn.LabelSpace) -> dict[str, Any]:

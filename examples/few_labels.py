@@ -21,7 +21,8 @@ from salsanext_cli.commands.stages.synth import synthesise
 from salsanext_cli.commands.stages.train import train
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.recipe import recipe
 
 SEED = 5

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.runs.results.paths import find_outputs
+from salsanext_cli.runs.results.output_paths import find_outputs
 
 
 def main(out: str, count: str = "10") -> None:

@@ -14,8 +14,8 @@ import joblib
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:

@@ -20,7 +20,7 @@ from salsanext_cli.runs.results.result_folder import ResultFolder
 def main(out: str, recording: str) -> None:
     rerun = import_module("rerun")
     results = ResultFolder(Path(out))
-    chosen, sensor = results.chosen(ResultQuery()), results.manifest.sensor()
+    chosen, sensor = results.chosen(ResultQuery()), results.provenance.sensor()
     space = chosen.space
     rerun.init("salsanext")
     rerun.save(recording)

@@ -34,7 +34,7 @@ from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive, drive_findings, drive_of_scans
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.selection import scans_of
+from salsanext_cli.runs.scans.selection import scans_of
 
 log = logging.getLogger(__name__)
 

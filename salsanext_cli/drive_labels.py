@@ -29,8 +29,9 @@ from salsanext_cli.runs.fit.sensor_fit import fit_scans, resolved_for
 from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile, drive_order
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 log = logging.getLogger(__name__)
 

@@ -14,8 +14,9 @@ from salsanext_cli.core.measures.histograms import confidence_histogram, uncerta
 from salsanext_cli.core.measures.uncertainty_evaluation import RankingScores, UncertaintyEvaluation
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.paths import find_scans, output_path
-from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import MissingResults
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 SPACE = label_space()

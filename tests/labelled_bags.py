@@ -9,7 +9,7 @@ from scans import make_scan, write_array, write_bin
 
 from salsanext_cli import label_space, sensor, write_labels
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource, StageRecord
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 
 NAMES = (f"{START}", f"{START + STEP}", f"{START + STEP}_1")
 """Names of the scans; the last two clouds have one time."""

@@ -4,7 +4,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def scans_of(names: Iterable[tuple[str, int]]) -> list[ScanFile]:

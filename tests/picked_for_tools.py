@@ -13,11 +13,11 @@ from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space, read_labels, read_scan
 from salsanext_cli.commands.stages.import_labels import import_labels
-from salsanext_cli.io.labelling_tools.registry import tool_named
-from salsanext_cli.runs.labelling.label_records import LabelImport
-from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet, PickedScan
-from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
-from salsanext_cli.runs.results.layouts import TOOL_FOLDER
+from salsanext_cli.io.annotation_tools.registry import tool_named
+from salsanext_cli.runs.annotation.label_records import LabelImport
+from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet, PickedScan
+from salsanext_cli.runs.annotation.tool_files import SensorPositions, write_for_tool
+from salsanext_cli.runs.scans.layouts import TOOL_FOLDER
 
 SPACE = label_space()
 SEQUENCES = {"08": ("000010", "000011"), "09": ("000010",)}

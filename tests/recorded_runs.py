@@ -8,7 +8,7 @@ from world import begin_and_end
 
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 KNN = asdict(KnnParameters())
 SETTINGS = {"weights": "abc", "knn": KNN}

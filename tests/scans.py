@@ -24,7 +24,7 @@ from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.formats.ply import write_ply
 from salsanext_cli.io.weights.weights import save_weights
-from salsanext_cli.runs.results.scan_folders import FILE_LISTS
+from salsanext_cli.runs.scans.scan_folders import FILE_LISTS
 
 SMALL = Sensor(
     "small",

@@ -11,7 +11,7 @@ from salsanext_cli import Scan
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats.kitti import read_bin
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.on_device.batch_maker import BatchMaker
 from salsanext_cli.training.data.on_device.batch_random import BatchRandom

@@ -17,7 +17,7 @@ from tiny_network import TinyNetwork
 
 import salsanext_cli
 from salsanext_cli.core.network.registry import ARCHITECTURES
-from salsanext_cli.runs.results.selection import scans_of
+from salsanext_cli.runs.scans.selection import scans_of
 
 PACKAGE = str(Path(salsanext_cli.__file__).parent)
 CONSTANT_PER_SCAN = 10

@@ -39,7 +39,8 @@ from salsanext_cli.core.sensors import sensor as sensors
 from salsanext_cli.io.formats import SCAN_SUFFIXES
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.loop.run_options import Shard
-from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, find_scans
+from salsanext_cli.runs.results.folder_names import SUFFIX_OF_FOLDER
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
 

@@ -29,7 +29,7 @@ from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.drives.drive_record import drive_record
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.training.run_folder import write_log
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -36,7 +36,7 @@ REPLACING = {
 }
 """Functions of the package that replace a file unless their caller forbids it."""
 WRITERS = {
-    "commands/jobs/bag_sources.py": "the record of the bags that were copied into a folder",
+    "runs/copies/bag_sources.py": "the record of the bags that were copied into a folder",
     "commands/stages/import_weights.py": "the target, by `overwrite`",
     "commands/stages/submit.py": "the target, by `overwrite`",
     "commands/stages/tune.py": "the target, by `overwrite`",
@@ -44,9 +44,9 @@ WRITERS = {
     "io/files/user_cache.py": "the cache",
     "io/formats/kitti_labels.py": "`sn.write_labels`, for callers from Python",
     "io/formats/ply.py": "`sn.write_ply`, for callers from Python",
-    "runs/labelling/label_records.py": "a line at the end of the list of imported labels",
+    "runs/annotation/label_records.py": "a line at the end of the list of imported labels",
     "runs/loop/event_file.py": "lines at the end of a file of events",
-    "runs/labelling/picked_data_set.py": "the record of `pick`",
+    "runs/annotation/picked_data_set.py": "the record of `pick`",
     "runs/records/digest_files.py": "files that are named after their content",
     "runs/results/manifest.py": "records of stages",
     "runs/results/owned_folder.py": "files of an output folder that are not foreign",

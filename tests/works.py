@@ -17,7 +17,7 @@ from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.pipeline import opened
 from salsanext_cli.runs.loop.pool import chunks
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 class Write:

@@ -15,9 +15,10 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.io.files.json_files import record_of
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import settings_type
+from salsanext_cli.runs.results.folder_names import SUFFIX_OF_FOLDER
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import SUFFIX_OF_FOLDER, ScanFile
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 EVERY = ScanSelection(sequences=("00", "08"))
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.gpu.gpu_measures import Figures
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.on_device.device_batches import DeviceBatches
 from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT, ScanMemory

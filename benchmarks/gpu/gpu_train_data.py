@@ -15,7 +15,8 @@ from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.class_counts import class_counts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.sources import Source, fitted_source

@@ -27,7 +27,7 @@ from salsanext_cli.runs.loop.cluster.driver_process import PROGRAM
 from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 SMALLER_RUNS = (100, 10)  # Parts of the names, to see how time and memory grow
 

@@ -18,8 +18,10 @@ from benchmarks.finished_scans import FinishedScans
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.records.stage_settings import PredictSettings
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import ScanFile, find_scans, output_path
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 Result = TypeVar("Result")
 SCANS_PER_SEQUENCE = 1000

@@ -20,7 +20,7 @@ from salsanext_cli.core.geometry.projection import project
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 LEFT_OUT = 3
 

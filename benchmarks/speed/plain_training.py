@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.recipe import Recipe
 
 

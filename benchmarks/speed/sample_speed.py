@@ -18,7 +18,7 @@ import torch
 
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.sensors import sensor
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.class_counts import count_classes, rare_classes
 from salsanext_cli.training.data.dataset import SampleKey, Samples
 from salsanext_cli.training.data.on_device.batch_maker import BatchMaker

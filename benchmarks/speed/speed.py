@@ -38,8 +38,8 @@ from salsanext_cli.io.sensors import sensor as find_sensor
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import select_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import select_scans
 
 PARTS = ("projection", "network", "knn", "predict", "uncertainty", "confusion", "cold", "help")
 SIDES = ("baseline", "product")

@@ -13,7 +13,7 @@ from salsanext_cli.core.geometry.projection import points_from_pixels
 from salsanext_cli.core.measures.scores import confusion_matrix
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def predict(path: Path, out: Path, network: sn.Network) -> None:

@@ -28,7 +28,7 @@ from salsanext_cli.commands.stages.uncertainty import uncertainty
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 def used() -> tuple[float, int, int]:

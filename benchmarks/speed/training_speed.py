@@ -27,7 +27,7 @@ from salsanext_cli.core.engines.device import choose_precision
 from salsanext_cli.core.network.registry import build
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.sensors import sensor
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Samples, batches
 from salsanext_cli.training.data.sources import Source

@@ -47,8 +47,10 @@ from salsanext_cli.io.weights.loading import load_network
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.fit.sensor_fit import fit_network
 from salsanext_cli.runs.network_settings import weights_file
-from salsanext_cli.runs.results.paths import DISAGREEMENT, ERROR, FUSED, ScanFile, find_scans
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.results.folder_names import DISAGREEMENT, ERROR, FUSED
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.class_counts import class_weights, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Samples, batches

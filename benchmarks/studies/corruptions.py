@@ -33,8 +33,9 @@ from salsanext_cli.io.files.json_files import read_json, write_json
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.weights.card_file import default_weights, read_card
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.selection import data_set_label_space
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import data_set_label_space
 
 CLEAN = "clean"
 BASELINES, ERROR = ("least_confidence", "softmax_entropy"), "error"

@@ -23,7 +23,8 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.measures.expected_accuracy import WITHHELD_FOR
 from salsanext_cli.runs.fit.sensor_fit import fit_network
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 SEED, MAX_HEIGHT_M, MAX_LEAN_DEG, UPSIDE_DOWN = 777, 3.0, 3.0, 1 / 3
 METRES = (0.0, 1.0, 5.0, 20.0, 30.0, 100.0, 500.0)

@@ -38,8 +38,9 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.selection import evenly_spaced, space_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import evenly_spaced, space_of
 
 Mask = npt.NDArray[np.bool_]
 GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain")

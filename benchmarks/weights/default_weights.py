@@ -37,7 +37,8 @@ from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.weights import read_weights, save_weights
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.sources import labelled_split
 

@@ -26,8 +26,9 @@ from salsanext_cli.runs.fit.scan_reading import read_measured
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.selection import data_set_label_space
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import data_set_label_space
 
 CLASSES = "person,bicyclist,truck"
 

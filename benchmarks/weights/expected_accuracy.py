@@ -21,7 +21,8 @@ from salsanext_cli.core.network.card import AccuracyLine
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
-from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 HALF_WIDTH = 2.0
 """Half the interval of an estimate, in root mean squares of the misses on the judged sequences."""

@@ -35,9 +35,10 @@ from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import data_set_label_space, evenly_spaced
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import data_set_label_space, evenly_spaced
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split

@@ -22,8 +22,8 @@ from salsanext_cli import project, read_scan, sensor
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
-from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 KINDS, BINS = HOLE_SHARES.shape

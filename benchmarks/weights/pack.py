@@ -21,7 +21,7 @@ from salsanext_cli.io.files.atomic import write_bytes
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.formats.kitti_labels import encode_labels, read_labels
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 STEPS_PER_M = 128
 MAX_COORDINATE_M = 255.0

@@ -33,7 +33,8 @@ from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.pool import end_with_parent
 from salsanext_cli.runs.network_settings import weights_file
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.lidar import RIGS
 from salsanext_cli.training.data.sources import Source, fitted_source

@@ -18,14 +18,14 @@ from salsanext_cli.core.texts import escaped
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.report.plots import confusion_picture, iou_picture, uncertainty_pictures
 from salsanext_cli.runs.loop.run import Failure
-from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.scans.selection import MissingResults
 from salsanext_cli.runs.summary.comparison import ScanComparison
-from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED, TUNE_AGAIN
+from salsanext_cli.runs.summary.threshold_scans import NOT_COMPARED, TUNE_AGAIN_HINT
 from salsanext_cli.version import __version__
 
 NOT_COVERED = (
     "the guarantee does not cover these scans: `predict` found that they differ from those that "
-    f"the threshold was chosen on ({WarningCode.OTHER_SCANS})\nhint: {TUNE_AGAIN}"
+    f"the threshold was chosen on ({WarningCode.OTHER_SCANS})\nhint: {TUNE_AGAIN_HINT}"
 )
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 UNKNOWN_TRAINING_SCANS = "scores on scans that the weights may have been trained on"

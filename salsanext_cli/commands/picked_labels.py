@@ -14,12 +14,13 @@ import numpy as np
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.measures.decision import DOUBTFUL, Evidence, Verdict, verdict
 from salsanext_cli.io.weights.card_file import read_card
-from salsanext_cli.runs.labelling.picked_data_set import PREDICTED
+from salsanext_cli.runs.annotation.picked_data_set import PREDICTED
 from salsanext_cli.runs.loop.run import Failure
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.folder_names import ERROR
+from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ERROR, find_outputs
 from salsanext_cli.runs.results.scan_results import read_kind
 
 COLUMNS = "x,y,z,intensity"  # Of the scans that `pick` writes
@@ -77,7 +78,7 @@ def label_picked_scans(
         class_count=summary.space.class_count,
         expected=expected,
         doubtful=doubtful_share(out),
-        warned={warning.code: warning.scans for warning in summary.warnings()},
+        warned={warning.code: warning.scans for warning in summary.warnings.by_code()},
     )
     accuracy = expected.accuracy if expected else None
     return PickedLabels(

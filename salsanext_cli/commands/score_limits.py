@@ -16,7 +16,7 @@ from salsanext_cli.core.measures.scores import Scores
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.texts import did_you_mean, with_hint
 from salsanext_cli.core.wording import argument, setting
-from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.folder_names import ERROR
 
 GUARANTEE = "guarantee"
 """Name of the limit that `tune risk` guarantees, which takes no number."""

@@ -19,9 +19,10 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import did_you_mean
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.runs.results.paths import COLOURS, ScanFile
+from salsanext_cli.runs.results.folder_names import COLOURS
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import picture_columns
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]

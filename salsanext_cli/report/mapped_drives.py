@@ -23,9 +23,11 @@ from salsanext_cli.report.drive_map import drive_map_picture
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.runs.drives.drive_record import DRIVE, poses_of_largest_part
 from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive
-from salsanext_cli.runs.results.paths import FUSED, ScanFile, drive_order, output_path
+from salsanext_cli.runs.results.folder_names import FUSED
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 MAP_SCANS = 100  # Most scans on a map, evenly spaced over the drive

@@ -21,9 +21,9 @@ from salsanext_cli.core.records import Float
 from salsanext_cli.core.texts import counted
 from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.tables import ABSENT, table_of
-from salsanext_cli.runs.labelling.picked_data_set import PickedScan
-from salsanext_cli.runs.labelling.scan_description import ScanDescription
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.annotation.picked_data_set import PickedScan
+from salsanext_cli.runs.annotation.scan_description import ScanDescription
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:

@@ -19,8 +19,8 @@ from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.plots import GREEN, RED
 from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.report.tables import percent
-from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.run_comparison import RunComparison, ScanChange
 from salsanext_cli.runs.summary.run_pair import PairedLabels, RunPair
 

@@ -20,8 +20,8 @@ from salsanext_cli.report.page.run_results import RunResults, ShownScan
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.readable_scans import readable_scans
 from salsanext_cli.runs.loop.run import Failure
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES
-from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
+from salsanext_cli.runs.scans.selection import MissingResults
 
 SAMPLED = 5  # Evenly spaced scans among those from which the scales are taken
 

@@ -30,7 +30,7 @@ from salsanext_cli.report.colours import (
     legend_of,
     map_on_dark,
 )
-from salsanext_cli.runs.results.paths import COLOURINGS
+from salsanext_cli.runs.results.folder_names import COLOURINGS
 from salsanext_cli.runs.results.scan_results import HEIGHT, ScanResults, picture_columns
 
 if TYPE_CHECKING:

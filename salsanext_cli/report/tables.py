@@ -20,8 +20,8 @@ from salsanext_cli.core.records import CHANNELS
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few, percentage, printable
 from salsanext_cli.core.wording import share
-from salsanext_cli.io.labelling_tools.registry import TOOLS
-from salsanext_cli.runs.labelling.label_records import ImportedScan, LabelImport
+from salsanext_cli.io.annotation_tools.registry import TOOLS
+from salsanext_cli.runs.annotation.label_records import ImportedScan, LabelImport
 
 ABSENT = "–"
 USUAL_LIMITS = (0.05, 0.1, 0.2)

@@ -17,7 +17,7 @@ from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import read_weights
 from salsanext_cli.runs.loop.network_task import network_pipeline
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, Parts, expectation, held_out
 from salsanext_cli.training.data.dataset import SamplingPlan

@@ -8,7 +8,7 @@ from itertools import groupby
 
 import numpy as np
 
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.run_folder import Row
 
 Parts = list[tuple[list[ScanFile], list[ScanFile]]]

@@ -8,7 +8,7 @@ from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.io.weights.weights import encode_weights, read_weights
 from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.run_folder import BEST, LAST
 from salsanext_cli.training.tuning.int8 import int8_inputs

@@ -15,7 +15,7 @@ from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.atomic import require_writable
 from salsanext_cli.io.files.json_files import record_of
 from salsanext_cli.io.files.reading import fingerprint
-from salsanext_cli.runs.labelling.las_classification import labels_source
+from salsanext_cli.runs.annotation.las_classification import labels_source
 from salsanext_cli.runs.results.manifest import (
     Manifest,
     StageRecord,
@@ -23,7 +23,7 @@ from salsanext_cli.runs.results.manifest import (
     settings_json,
 )
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.batch_source import WORKERS
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
@@ -130,7 +130,7 @@ def fold_folder(run: Path, number: int) -> Path:
     return run / FOLDS / str(number)
 
 
-def event_file(run: Path, epoch: int) -> Path:
+def tensorboard_file(run: Path, epoch: int) -> Path:
     """Return the event file of an epoch, counted from 1; TensorBoard finds it by its name."""
     return run / EVENTS / f"{EVENT_FILE}.{epoch:06d}"
 

@@ -12,7 +12,7 @@ import torch
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.batch_source import BatchSource, WorkerBatches
 from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Samples

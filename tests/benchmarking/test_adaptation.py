@@ -17,7 +17,8 @@ from benchmarks.studies.adaptation import (
 )
 from salsanext_cli import label_space
 from salsanext_cli.io.formats.kitti_labels import read_labels, write_labels
-from salsanext_cli.runs.results.paths import DISAGREEMENT, ERROR, FUSED, find_scans
+from salsanext_cli.runs.results.folder_names import DISAGREEMENT, ERROR, FUSED
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 

@@ -15,7 +15,7 @@ from benchmarks.weights.default_weights import LABEL_SPACES, simulated_scans
 from benchmarks.weights.ray_casting import RayScene
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.io.weights.card_file import read_card
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.synthesis.mesh import Mesh, Skin
 from salsanext_cli.synthesis.presets import Material
 

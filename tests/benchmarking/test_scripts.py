@@ -32,7 +32,7 @@ from salsanext_cli import (
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.selection import data_set_label_space
+from salsanext_cli.runs.scans.selection import data_set_label_space
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 from salsanext_cli.training.data.sources import labelled_split
 

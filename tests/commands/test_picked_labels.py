@@ -12,8 +12,8 @@ from salsanext_cli.commands.picked_labels import doubtful_share, label_picked_sc
 from salsanext_cli.commands.stages.pick import pick
 from salsanext_cli.commands.stages.report import read_run
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 @pytest.fixture

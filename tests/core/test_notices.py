@@ -15,7 +15,7 @@ from salsanext_cli.core.notices import (
     notice_once,
     warn_once,
 )
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,8 @@ from stored import maker_of, round_to_half, with_statistics
 
 from salsanext_cli import label_space
 from salsanext_cli.commands.stages.train import train
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.on_device.device_batches import DeviceBatches
 from salsanext_cli.training.data.on_device.scan_memory import ScanMemory

@@ -14,7 +14,7 @@ from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import load_network
 from salsanext_cli.runs.loop.network_task import network_pipeline
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.scoring.device_validation import DeviceValidation
 from salsanext_cli.training.scoring.validation import validation_job

@@ -35,15 +35,15 @@ from tiny_network import TinyNetwork
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.io.annotation_tools.registry import TOOLS
 from salsanext_cli.io.formats import recordings
 from salsanext_cli.io.formats.captures import maker_of
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.io.formats.ply import write_ply
-from salsanext_cli.io.labelling_tools.registry import TOOLS
 from salsanext_cli.io.weights.published import read_published
 from salsanext_cli.io.weights.weights import read_weights, save_weights
 from salsanext_cli.runs.results.output_run import encode_array
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.recipe import Recipe, recipe
 
 FEW = LabelSpace.from_dict(

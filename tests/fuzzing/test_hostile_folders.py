@@ -11,8 +11,8 @@ from world import begin_and_end
 from salsanext_cli.commands.stages.project import project_scans
 from salsanext_cli.commands.stages.synth import synthesise
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 LABELS = np.zeros(5, np.uint32)
 

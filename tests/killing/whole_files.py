@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 
 from salsanext_cli.io.files.atomic import TEMPORARY
 from salsanext_cli.io.formats.ply import ply_columns
-from salsanext_cli.runs.results.scan_folders import FILE_LISTS
+from salsanext_cli.runs.scans.scan_folders import FILE_LISTS
 
 WHOLE: dict[str, Callable[[Path], Any]] = {
     ".bin": lambda path: path.exists(),

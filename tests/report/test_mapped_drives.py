@@ -16,7 +16,7 @@ from salsanext_cli.report.mapped_drives import drive_maps
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.runs.drives.drive_record import drive_record
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 STEMS = ("a", "b", "c", "d")
 PREDICTED = [CAR, ROAD, ROAD, 0]

@@ -24,8 +24,8 @@ from salsanext_cli.report.tables import (
     survey_tables,
     uncertainty_tables,
 )
-from salsanext_cli.runs.labelling.label_records import ImportedScan
-from salsanext_cli.runs.labelling.picked_data_set import PickedScan
+from salsanext_cli.runs.annotation.label_records import ImportedScan
+from salsanext_cli.runs.annotation.picked_data_set import PickedScan
 from salsanext_cli.training.tuning.error import ErrorScores, HeldOutScores
 
 MANY = 430_123_456

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.commands.jobs.event_files import write_events
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.geometry.projection import pixels_from_points, project
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
@@ -18,11 +17,12 @@ from salsanext_cli.report.training_pictures import (
     training_page,
 )
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.fit import FinishedEpoch
 from salsanext_cli.training.run_folder import CURVE, PAGE, SAMPLES
+from salsanext_cli.training.tensorboard_files import write_events
 
 SAMPLE_SCANS = 3  # Scans of which predictions are drawn
 

@@ -14,9 +14,11 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive
 from salsanext_cli.runs.drives.stored_softmax import stored_softmax
+from salsanext_cli.runs.results.folder_names import DISAGREEMENT
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import DISAGREEMENT, ScanFile, output_path
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 

@@ -11,9 +11,10 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.records import Float
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.fit.range_images import range_image
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ScanFile, output_path
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 

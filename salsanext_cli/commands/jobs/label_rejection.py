@@ -17,7 +17,7 @@ from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float, Mask
 from salsanext_cli.core.wording import argument, command, setting, share
-from salsanext_cli.runs.fit.sensor_fit import as_typed, labels_depend_on
+from salsanext_cli.runs.fit.threshold_settings import label_settings, setting_as_typed
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
 
@@ -121,7 +121,7 @@ def _changed_settings(
     risk: RiskThreshold, settings: NetworkSettings, network: Network, knn: KnnParameters
 ) -> list[str]:
     """Return the names of the settings that differ from the settings of the threshold."""
-    current = labels_depend_on(settings, network)
+    current = label_settings(settings, network)
     is_changed = {"classes": network.merging is not None, "knn": knn != KnnParameters()}
     for name, key in KEY_OF.items():
         is_changed[name] = current[key] != risk.settings.get(key)
@@ -138,8 +138,8 @@ def _not_covered(
     hint = "use the option as for `tune risk`, or run `tune risk` again"
     if name != "sensor":
         key = KEY_OF[name]
-        tuned = as_typed(name, risk.settings.get(key))
-        current = as_typed(name, labels_depend_on(settings, network).get(key))
+        tuned = setting_as_typed(name, risk.settings.get(key))
+        current = setting_as_typed(name, label_settings(settings, network).get(key))
         problem = f"the threshold was chosen with {tuned}, this run has {current}"
         if is_int8(tuned) and is_int8(current):
             cpus = f"a CPU with {arithmetic_in(tuned)}, this one has {arithmetic_in(current)}"

@@ -12,10 +12,10 @@ from salsanext_cli.core.records import Origin, Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.report.picked import picked_cloud
+from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
+from salsanext_cli.runs.annotation.scan_description import checked_sample
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
-from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet
-from salsanext_cli.runs.labelling.scan_description import checked_sample
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

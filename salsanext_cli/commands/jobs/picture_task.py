@@ -25,9 +25,9 @@ from salsanext_cli.report.scan_pictures import (
 )
 from salsanext_cli.runs.records.stage_settings import PictureSettings
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import PICTURE_COLOURS, picture_columns
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 FOLDER = "pictures"
 LEAST_INSIDE = 0.5  # Share of the values of scans that a scale should contain

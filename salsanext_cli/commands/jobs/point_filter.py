@@ -17,12 +17,14 @@ from salsanext_cli.io.files.reading import filled, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.subsets import subsets_of
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.folder_names import ERROR
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
-from salsanext_cli.runs.results.paths import ERROR, ScanFile, output_path
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import read_kind
+from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +133,7 @@ class PointFilter:
 
     def _rejected(self, file: ScanFile, labels: TrainIds) -> Mask:
         """Return the mask (N,) of the points whose label `predict --reject` rejected."""
-        settings = self.results.manifest.prediction()
+        settings = self.results.provenance.prediction()
         none = np.zeros(len(labels), bool)
         if settings is None or settings.reject is None:
             return none

@@ -25,9 +25,10 @@ from salsanext_cli.core.labellers import Labeller, labeller_for
 from salsanext_cli.core.labelling import LabelledScan, LabelRequest
 from salsanext_cli.core.records import Float, Origins
 from salsanext_cli.runs.fit.scan_reading import FileToLabel, read_to_label
+from salsanext_cli.runs.results.folder_names import ERROR, LEAST_CONFIDENCE, ORIGINS
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_origins import origin_array, origin_in_run
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 NEED_SOFTMAX = {"probabilities", "votes"}  # Results that need the whole softmax of the points

@@ -20,9 +20,10 @@ from salsanext_cli.core.uncertainty.estimate_request import EstimateRequest
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.fit.scan_reading import FileToLabel, read_measured
+from salsanext_cli.runs.results.folder_names import ERROR, ORIGINS
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ERROR, ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_origins import origin_array, origin_in_run
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 

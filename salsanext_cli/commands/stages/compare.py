@@ -10,12 +10,12 @@ from salsanext_cli.core.errors import LabelError, NoInputError
 from salsanext_cli.core.texts import escaped
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.report.run_changes import changed_scan_picture, comparison_picture
-from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
-from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
+from salsanext_cli.runs.annotation.foreign_labels import warn_of_foreign_labels
+from salsanext_cli.runs.annotation.label_records import pre_labelled_scans
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.scans.selection import MissingResults
 from salsanext_cli.runs.summary.run_comparison import (
     CHANGED_SCAN,
     FILES,

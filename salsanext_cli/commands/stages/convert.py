@@ -21,10 +21,11 @@ from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.manifest import StageRecord
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile, find_scans, require_no_hidden_scans
+from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans, require_no_hidden_scans
 
 TIMES = "times.txt"
 NOUNS = [kind.noun for kind in RECORDING_KINDS]

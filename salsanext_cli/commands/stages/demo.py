@@ -18,9 +18,10 @@ from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.loop.run import Failure, Progress, RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ERROR, find_outputs
+from salsanext_cli.runs.results.folder_names import ERROR
+from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 SEED = 2020  # The default weights were not trained on the scene of this seed.
 SPACING_M = 12.0  # Distance between two scans

@@ -23,17 +23,18 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.report.plots import PICTURES
-from salsanext_cli.runs.labelling.label_records import require_truth
+from salsanext_cli.runs.annotation.label_records import require_truth
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
+from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import space_of_labels
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import space_of_labels
 from salsanext_cli.runs.summary.comparison import ScanComparison
-from salsanext_cli.runs.summary.scan_summary import guarantee_of_run
+from salsanext_cli.runs.summary.guarantee_of_run import guarantee_of_run
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Possible files of an evaluation, which are replaced or removed."""
@@ -77,7 +78,9 @@ def evaluate(
         options,
         chosen.part,
         by_distance=by_distance,
-        settings=chosen.results.provenance(query.selection),
+        settings=chosen.results.provenance.recorded_settings(
+            query.selection, chosen.results.dataset
+        ),
         labels=query.label_space,
     )
 
@@ -233,7 +236,7 @@ def _prepared(
     _require_labels(scans)
     labels = space_of_labels(scans, space, labels)
     comparison = ScanComparison.from_results(
-        results.manifest, space, labels, by_distance=by_distance
+        results.provenance, space, labels, by_distance=by_distance
     )
     return PreparedEvaluation(results=results, folder=folder, comparison=comparison)
 

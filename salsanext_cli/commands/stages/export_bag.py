@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.commands.jobs.bag_run import BagOfResults, BagRun, bags_of, label_path
-from salsanext_cli.commands.jobs.filled_folder import begin
 from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.errors import OutputError, UsageError
 from salsanext_cli.core.wording import argument, setting
@@ -19,12 +17,15 @@ from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.bags import Bag
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_with_values
 from salsanext_cli.report.colours import screen_colours
+from salsanext_cli.runs.copies.bag_run import BagOfResults, BagRun, bags_of, label_path
+from salsanext_cli.runs.copies.filled_folder import begin
 from salsanext_cli.runs.loop.run import Outcome, RunOptions
+from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import ScanResults
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 LABELLED = "labelled"  # Last part of the name of the new topic
 
@@ -79,12 +80,12 @@ def export_bag(
     space = chosen.space
     settings = ExportBagSettings(
         label_space=space,
-        origins=results.manifest.origins(PREDICTION_STAGES),
+        origins=results.provenance.origins(PREDICTION_STAGES),
         results=str(out.absolute()),
         topic=topic,
     )
     owned = OwnedFolder(folder, "export-bag")
-    sensor = results.manifest.sensor()
+    sensor = results.provenance.sensor()
 
     def new_cloud(file: ScanFile, message: Any, types: Types) -> Any:
         if not present(label_path(results, file)):

@@ -13,14 +13,15 @@ from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.io.formats.survey.las_labels import LasLabels, labelled_las
-from salsanext_cli.runs.labelling.map_frames import digest_of_frames, frames_beside, with_frame
+from salsanext_cli.runs.annotation.map_frames import digest_of_frames, frames_beside, with_frame
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import ExportLasSettings
+from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import scalar_columns
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 KEPT = ("intensity",)  # Values that a LAS file has already
 
@@ -91,7 +92,7 @@ def export_las(
     stage = f"export-{folder}"
     settings = ExportLasSettings(
         label_space=chosen.space,
-        origins=results.manifest.origins(PREDICTION_STAGES),
+        origins=results.provenance.origins(PREDICTION_STAGES),
         frames=digest_of_frames(chosen.listed),
     )
     earlier = results.manifest.settings(stage)
@@ -107,7 +108,7 @@ def export_las(
     )
     with run as output:
         task = LasExport(
-            sensor=results.manifest.sensor(),
+            sensor=results.provenance.sensor(),
             output=output,
             space=chosen.space,
             classes=query.classes,

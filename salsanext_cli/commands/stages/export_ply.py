@@ -13,11 +13,12 @@ from salsanext_cli.io.formats.ply import encode_ply
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import ExportSettings
+from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
 from salsanext_cli.runs.results.scan_results import scalar_columns
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 log = logging.getLogger(__name__)
 
@@ -100,7 +101,7 @@ def export_ply(
         colour = results.default_uncertainty(chosen.scans)
     results.require_column(colour, chosen.scans)
     destination = _destination(results, colour)
-    origins = results.manifest.origins(PREDICTION_STAGES)
+    origins = results.provenance.origins(PREDICTION_STAGES)
     earlier = _recorded(results, destination.stage)
     is_outdated = earlier is not None and earlier.origins != origins
     overwrite = options.overwrite or is_outdated
@@ -119,7 +120,7 @@ def export_ply(
     with run as output:
         task = CloudExport(
             colours=PointColours(colour=colour, scale=ends, space=chosen.space),
-            sensor=results.manifest.sensor(),
+            sensor=results.provenance.sensor(),
             output=output,
             classes=query.classes,
             labels=chosen.labels,
@@ -141,7 +142,7 @@ def _ends_of_scale(
         return scale
     if continued is not None and continued.scale is not None:
         return continued.scale
-    sensor = results.manifest.sensor()
+    sensor = results.provenance.sensor()
     scales = common_scales(results.root, chosen.scans, [colour], chosen.space, sensor)
     return scales.get(colour, (0.0, 1.0))
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.commands.jobs.bag_run import BagOfResults, BagRun, bags_of, is_bag
-from salsanext_cli.commands.jobs.filled_folder import begin, foresee
 from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
 from salsanext_cli.commands.jobs.point_filter import FilterSettings, PointFilter, WrittenScan
 from salsanext_cli.core.classes.label_space import LabelSpace
@@ -24,12 +22,16 @@ from salsanext_cli.io.formats.recording_kinds import kind_of
 from salsanext_cli.io.formats.recordings import files_of, recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
-from salsanext_cli.runs.labelling.map_frames import add_frames, frames_beside
+from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
+from salsanext_cli.runs.copies.bag_run import BagOfResults, BagRun, bags_of, is_bag
+from salsanext_cli.runs.copies.filled_folder import begin, foresee
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.results.folder_names import ERROR, PREDICTION_STAGES
+from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ERROR, PREDICTION_STAGES, ScanFile, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 log = logging.getLogger(__name__)
 
@@ -257,7 +259,7 @@ def _prepared(
         max_error=max_error,
         with_error_only=True if max_error is not None else None,
         label_space=space,
-        origins=results.manifest.origins(PREDICTION_STAGES),
+        origins=results.provenance.origins(PREDICTION_STAGES),
     )
     point_filter = PointFilter(
         results=results,
@@ -265,7 +267,7 @@ def _prepared(
         settings=settings,
         space=space,
         selected=selected,
-        sensor=results.manifest.sensor(),
+        sensor=results.provenance.sensor(),
     )
     bags = bags_of(chosen.scans)
     _require_one_kind(chosen.scans, bags, query)

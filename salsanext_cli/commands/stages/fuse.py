@@ -22,11 +22,12 @@ from salsanext_cli.runs.drives.fusible_results import FusibleResults, fusible_re
 from salsanext_cli.runs.drives.scans_of_drive import drive_findings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.runs.results.paths import DISAGREEMENT, FUSED, ScanFile, drive_order
+from salsanext_cli.runs.results.folder_names import DISAGREEMENT, FUSED
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.selection import scans_of
+from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
+from salsanext_cli.runs.scans.selection import scans_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
-from salsanext_cli.runs.summary.scan_summary import RunSummary
+from salsanext_cli.runs.summary.run_summary import RunSummary
 
 FOLDERS_OF_VOTES = (DISAGREEMENT, "views")
 

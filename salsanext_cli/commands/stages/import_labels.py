@@ -25,18 +25,19 @@ from salsanext_cli.io.formats import FORMATS, format_of, read_scan
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.formats.label_scalars import LabelIds
 from salsanext_cli.io.formats.recordings import recording_of
-from salsanext_cli.runs.labelling.edited_files import find_edited, read_edited, scan_of_edited
-from salsanext_cli.runs.labelling.label_records import (
+from salsanext_cli.runs.annotation.edited_files import find_edited, read_edited, scan_of_edited
+from salsanext_cli.runs.annotation.label_records import (
     ImportedScan,
     LabelImport,
     LabelRecords,
     labels_root,
     pre_labelled_scans,
 )
-from salsanext_cli.runs.labelling.map_frames import frames_beside, with_frame
+from salsanext_cli.runs.annotation.map_frames import frames_beside, with_frame
 from salsanext_cli.runs.loop.run_options import Progress
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.selection import data_set_label_space, space_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import data_set_label_space, space_of
 
 log = logging.getLogger(__name__)
 

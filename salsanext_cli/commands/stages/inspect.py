@@ -29,10 +29,12 @@ from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.fit.stated_origin import origin_in_frame
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import select_scans, space_of
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import select_scans, space_of
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 
 MIN_POINTS_OF_FIT = 1000  # A fit skips one point in a thousand at either edge.
@@ -183,7 +185,7 @@ def _inspect(
         sensor=sensor,
         space=space or space_of(scans),
         failures=outcome.failures,
-        warnings=summary.finished().warnings(),
+        warnings=summary.finished().warnings.by_code(),
     )
 
 

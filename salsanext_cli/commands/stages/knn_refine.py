@@ -19,14 +19,17 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import RefineSettings
+from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ScanFile, find_scans, with_outputs
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, space_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import choose, space_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,9 +192,9 @@ def _prepared(
     if not with_labels:
         raise _no_pixel_labels(out)
     chosen = choose(with_labels, selection, space_of(with_labels, space), out)
-    sensor = sensor or results.manifest.sensor()
+    sensor = sensor or results.provenance.sensor()
     settings = RefineSettings(
-        label_space=space, sensor=sensor, knn=knn, origins=results.manifest.origins(["predict"])
+        label_space=space, sensor=sensor, knn=knn, origins=results.provenance.origins(["predict"])
     )
     return PreparedRefinement(
         out=out,
@@ -209,7 +212,7 @@ def _prepared(
 
 def _require_unrejected(results: ResultFolder) -> None:
     """Refuse labels of which some were rejected."""
-    if results.manifest.rejected_above("pixel_labels") is not None:
+    if results.provenance.rejected_above("pixel_labels") is not None:
         problem = "has labels of which some were rejected"
         expected = "all labels, since the vote restores rejected ones"
         raise OutputError(results.root, problem, expected, f"predict without {argument('reject')}")
@@ -217,12 +220,12 @@ def _require_unrejected(results: ResultFolder) -> None:
 
 def _space_of_pixels(results: ResultFolder, space: LabelSpace | None) -> LabelSpace | None:
     """Return the label space of the labels of pixels: as asked for, as recorded, else None."""
-    recorded = results.manifest.label_space("pixel_labels")
+    recorded = results.provenance.label_space("pixel_labels")
     if recorded and space and not recorded.fits(space):
         problem = f"{space.name}, but the pixel labels have the classes of {recorded.name}"
         hint = f"predict with {argument('classes')}, or omit it"
         raise UsageError(argument("space"), problem, hint=hint)
-    return space or recorded or results.manifest.label_space()
+    return space or recorded or results.provenance.label_space()
 
 
 def _no_pixel_labels(out: Path) -> NoInputError:

@@ -22,10 +22,10 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
-from salsanext_cli.runs.labelling.label_records import require_labels
-from salsanext_cli.runs.labelling.las_classification import labels_source
+from salsanext_cli.runs.annotation.label_records import require_labels
+from salsanext_cli.runs.annotation.las_classification import labels_source
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.batch_source import DEVICE, WORKERS
 from salsanext_cli.training.data.class_counts import class_counts
 from salsanext_cli.training.data.dataset import SamplingPlan

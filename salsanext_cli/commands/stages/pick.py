@@ -19,11 +19,11 @@ from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted
-from salsanext_cli.io.labelling_tools.registry import tool_named
-from salsanext_cli.io.labelling_tools.tool import LabellingTool
+from salsanext_cli.io.annotation_tools.registry import tool_named
+from salsanext_cli.io.annotation_tools.tool import AnnotationTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.labelling.map_frames import add_frames
-from salsanext_cli.runs.labelling.picked_data_set import (
+from salsanext_cli.runs.annotation.map_frames import add_frames
+from salsanext_cli.runs.annotation.picked_data_set import (
     NAMED,
     STAGE,
     TABLE,
@@ -32,16 +32,17 @@ from salsanext_cli.runs.labelling.picked_data_set import (
     PickSettings,
     UncertaintyScale,
 )
-from salsanext_cli.runs.labelling.scan_description import DescribeJob, ScanDescription
-from salsanext_cli.runs.labelling.tool_files import SensorPositions, write_for_tool
+from salsanext_cli.runs.annotation.scan_description import DescribeJob, ScanDescription
+from salsanext_cli.runs.annotation.tool_files import SensorPositions, write_for_tool
 from salsanext_cli.runs.loop.network_task import NetworkTask, sampling_task
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import settings_json
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.scan_selection import PICKED_SCANS, ScanSelection
-from salsanext_cli.runs.results.selection import space_of
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_selection import PICKED_SCANS, ScanSelection
+from salsanext_cli.runs.scans.selection import space_of
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 
 log = logging.getLogger(__name__)
@@ -224,7 +225,7 @@ def _chosen(task: NetworkTask, prepared: PreparedPick, options: RunOptions) -> P
         settings=settings_json(prepared.settings),
         picked=_picked(described, prepared.labelled, prepared.settings),
         failures=[failure.to_dict() for failure in failures],
-        warnings=summary.finished().warnings(),
+        warnings=summary.finished().warnings.by_code(),
         scale=_scale(described, network.space) if described else None,
     )
 
@@ -287,7 +288,7 @@ def _written(
 
 
 def _add_files_of_tool(
-    prepared: PreparedPick, tool: LabellingTool | None, record: PickRecord
+    prepared: PreparedPick, tool: AnnotationTool | None, record: PickRecord
 ) -> None:
     """Write the picked scans for a labelling tool, if any."""
     if tool is None:

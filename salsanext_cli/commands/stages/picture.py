@@ -22,19 +22,20 @@ from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.sensors import sensor as named_sensor
 from salsanext_cli.report.colours import Scales
+from salsanext_cli.runs.annotation.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.fit.sensor_fit import fitted_view
 from salsanext_cli.runs.fit.stated_origin import origin_in_frame
-from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PictureSettings
+from salsanext_cli.runs.results.folder_names import COLOURINGS, PREDICTION_STAGES
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import COLOURINGS, PREDICTION_STAGES, ScanFile
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ChosenResults, ResultFolder
 from salsanext_cli.runs.results.scan_results import HEIGHT
-from salsanext_cli.runs.results.selection import (
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import (
     MissingResults,
     choose,
     scans_of,
@@ -170,7 +171,7 @@ def picture_scans(
         sensor = fitted_view(
             listed,
             requested or settings.trained_sensor(),
-            None if requested else results.manifest.recorded_sensor(),
+            None if requested else results.provenance.recorded_sensor(),
             view=settings.fits_view,
             mounting=settings.fits_mounting,
         )
@@ -214,10 +215,12 @@ class PictureRun:
     def recorded_sensor(self) -> Sensor | None:
         """Sensor of the results of the folder, else of the pictures that this run continues."""
         continued = self.continued
-        return self.results.manifest.recorded_sensor() or (continued.sensor if continued else None)
+        return self.results.provenance.recorded_sensor() or (
+            continued.sensor if continued else None
+        )
 
     def _origins(self) -> dict[str, str]:
-        return self.results.manifest.origins(PREDICTION_STAGES)
+        return self.results.provenance.origins(PREDICTION_STAGES)
 
     def _to_do(self) -> list[ScanFile]:
         """Return the scans without a picture that this run continues."""

@@ -25,13 +25,13 @@ from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
+from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.output_run import output_run
-from salsanext_cli.runs.results.paths import with_outputs
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, space_of
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import choose, space_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
-from salsanext_cli.runs.summary.scan_summary import RunSummary
+from salsanext_cli.runs.summary.run_summary import RunSummary
 
 __all__ = [
     "PredictJob",
@@ -121,7 +121,7 @@ def predict_scans(
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, summary=summary, writes=[out]
         )
-    rejected_points = summary.rejected_points if rejection else None
+    rejected_points = summary.counts.rejected_points if rejection else None
     return PredictOutcome.from_run(
         outcome, rejected_points=rejected_points, has_int8_ranges=bool(network.card.int8)
     )

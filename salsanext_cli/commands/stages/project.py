@@ -16,18 +16,20 @@ from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.records.stage_settings import ProjectSettings
+from salsanext_cli.runs.results.folder_names import ORIGINS
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
 from salsanext_cli.runs.results.recorded_origins import (
     folders_of_origins,
     origin_array,
     origin_in_run,
 )
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import choose, scans_of, space_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 FOLDERS = ("range", "pixels")
 

@@ -21,8 +21,8 @@ from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.page.thumbnails import scans_for_thumbnails, thumbnail
 from salsanext_cli.report.readable_scans import readable_scans
 from salsanext_cli.report.run_server import RunServer, ServedRun
-from salsanext_cli.runs.labelling.foreign_labels import warn_of_foreign_labels
-from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
+from salsanext_cli.runs.annotation.foreign_labels import warn_of_foreign_labels
+from salsanext_cli.runs.annotation.label_records import pre_labelled_scans
 from salsanext_cli.runs.loop.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
@@ -211,10 +211,10 @@ def read_run(
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     without_truth = pre_labelled_scans(chosen.scans)
-    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.manifest.recorded_sensor()):
+    if warn_of_foreign_labels(chosen.scans, chosen.labels, results.provenance.recorded_sensor()):
         without_truth = chosen.scans
     reader = replace(
-        ScanComparison.from_results(results.manifest, chosen.space, chosen.labels),
+        ScanComparison.from_results(results.provenance, chosen.space, chosen.labels),
         unreviewed=frozenset(scan.name for scan in without_truth),
     )
     rows: list[ScanRow] = []

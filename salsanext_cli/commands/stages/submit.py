@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path, PurePosixPath
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
-from salsanext_cli.commands.jobs.label_checks import (
+from salsanext_cli.commands.jobs.submission_checks import (
     ClassifiedError,
     ProblemKind,
     SubmissionProblem,
@@ -25,9 +25,10 @@ from salsanext_cli.io.files.atomic import require_target, writing
 from salsanext_cli.io.files.reading import is_folder, present, reading
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.loop.run_options import Progress
-from salsanext_cli.runs.results.paths import ScanFile, find_outputs
+from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.selection import data_set_of, is_of_benchmark, unmerged, with_splits
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import data_set_of, is_of_benchmark, unmerged, with_splits
 
 LEVEL = 6  # Of compression, so that every Python writes the same bytes
 SPLIT = "test"
@@ -187,7 +188,7 @@ def _note_others(required: RequiredScans, files: Predictions) -> None:
 def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
     """Return the label space of the predictions with its splits; refuse merged classes."""
     root = data_set_of(scans[0]) if scans else None
-    space = with_splits(ResultFolder(out).manifest.compared_space(scans, space), root)
+    space = with_splits(ResultFolder(out).provenance.compared_space(scans, space), root)
     full = unmerged(space, scans)
     if full:
         problem = f"has predictions in the merged classes of {space.name}"

@@ -24,7 +24,7 @@ from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.runs.loop.run import Progress, RunOptions, run_over_scans
 from salsanext_cli.runs.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.lidar import RIGS
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from salsanext_cli.commands.jobs.event_files import require_tensorboard
 from salsanext_cli.commands.jobs.plans.training_plan import TrainingPlan
 from salsanext_cli.commands.stages.new_training import AUTO, NewTraining, workers_here
 from salsanext_cli.core.classes.label_space import LabelSpace
@@ -25,6 +24,7 @@ from salsanext_cli.training.preconditions import require_batch
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import BEST, LAST, Row
 from salsanext_cli.training.setup import Setup
+from salsanext_cli.training.tensorboard_files import require_tensorboard
 
 MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
 

@@ -23,9 +23,9 @@ from salsanext_cli.io.files.atomic import require_target, write_target
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.runs.loop.run import Progress
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import select_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import select_scans
 from salsanext_cli.training.tuning.risk_level import RiskLevel, require_scans
 from salsanext_cli.training.tuning.scan_choice import labelled_scans, unseen_scans
 from salsanext_cli.training.tuning.scans import TuningScans

@@ -31,13 +31,14 @@ from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import StageSettings, UncertaintySettings
+from salsanext_cli.runs.results.folder_names import ERROR
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.recorded_origins import folders_of_origins
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import choose, scans_of, space_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
-from salsanext_cli.runs.summary.scan_summary import RunSummary
+from salsanext_cli.runs.summary.run_summary import RunSummary
 
 METHOD = "sampling"  # Recorded, because earlier versions had another method
 
@@ -219,7 +220,7 @@ def _require_network_of_labels(out: Path, settings: UncertaintySettings) -> None
     recorded = records.settings(stage)
     if recorded is None:
         return
-    difference = _difference_of_labels(records, recorded, settings)
+    difference = _difference_of_labels(Provenance(out), recorded, settings)
     if difference is not None:
         problem = f"the labels were made with other {difference}"
         hint = f"use the same {argument(difference)}, or another output folder"
@@ -227,18 +228,18 @@ def _require_network_of_labels(out: Path, settings: UncertaintySettings) -> None
 
 
 def _difference_of_labels(
-    records: Manifest, recorded: StageSettings, settings: UncertaintySettings
+    provenance: Provenance, recorded: StageSettings, settings: UncertaintySettings
 ) -> str | None:
     """Return the name of the argument by which labels differ from those of the settings, if any."""
     if recorded.sensor is not None and not _is_same_sensor(recorded.sensor, settings.sensor):
         return "sensor"
-    weights = records.weights("predictions")
+    weights = provenance.weights("predictions")
     if not weights or settings.label_space is None:
         # Labels of other programs may be in any classes.
         return None
     if weights != settings.weights:
         return "weights"
-    space = records.label_space("predictions")
+    space = provenance.label_space("predictions")
     if space is None or not space.fits(settings.label_space):
         return "classes"
     return None

@@ -78,7 +78,7 @@ class RiskThreshold:
     sequences: tuple[str, ...]
     unit: str = "scan"  # Unit of the guarantee: "scan" or "drive"
     digests: str = ""  # Joined digests of the scans
-    settings: Json = field(default_factory=dict)  # As `labels_depend_on` returns them
+    settings: Json = field(default_factory=dict)  # As `label_settings` returns them
     views: tuple[FittedView, ...] = ()  # Fields of view of the sensors
     population: tuple[UnitTraits, ...] = ()  # Of each unit; empty in files of early versions
     data_set: str | None = None  # Name of its folder; None in files of early versions

@@ -15,7 +15,7 @@ from salsanext_cli.runs.results.repeated_settings import (
     path_as_typed,
     settings_of_network,
 )
-from salsanext_cli.runs.results.selection import data_set_of
+from salsanext_cli.runs.scans.selection import data_set_of
 
 
 def decision_command(run: RunResults, decided: Verdict) -> str:

@@ -15,7 +15,7 @@ from salsanext_cli.report.page.decision_command import decision_command
 from salsanext_cli.report.page.run_results import Comparison, RunResults
 from salsanext_cli.report.page.scan_row import Rejection
 from salsanext_cli.report.tables import percent
-from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.provenance import Provenance
 
 WITHHELD = "withheld"
 
@@ -131,7 +131,7 @@ def _estimate_tiles(run: RunResults, expected: ExpectedAccuracy | None) -> Itera
 
 def _rejection(run: RunResults) -> str:
     """Describe the threshold of a run that rejected labels; empty without one."""
-    settings = Manifest(run.reader.out).prediction()
+    settings = Provenance(run.reader.out).prediction()
     if settings is None or settings.reject is None:
         return ""
     kind = (settings.reject_by or "error").replace("_", " ")

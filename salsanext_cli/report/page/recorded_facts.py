@@ -23,8 +23,9 @@ from salsanext_cli.runs.records.stage_settings import (
     StageSettings,
     WeightsSettings,
 )
+from salsanext_cli.runs.results.folder_names import ERROR
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ERROR
+from salsanext_cli.runs.results.provenance import Provenance
 
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
 
@@ -32,7 +33,7 @@ SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
 def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     """Yield titles and texts of the recorded settings of a run for a sensor."""
     records = Manifest(out)
-    yield "Weights", _weights(records)
+    yield "Weights", _weights(Provenance(out))
     for member in sensor.members:
         yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
     stage = records.owner("predictions")
@@ -54,10 +55,10 @@ def recorded_facts(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
         yield "Uncertainty", f"probability of error, from {made}"
 
 
-def _weights(records: Manifest) -> str:
+def _weights(provenance: Provenance) -> str:
     """Describe the weights behind the labels, else those behind the uncertainty."""
     folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
-    sha256 = next(filter(None, map(records.weights, folders)), None)
+    sha256 = next(filter(None, map(provenance.weights, folders)), None)
     if sha256 is None:
         return "not recorded"
     name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"

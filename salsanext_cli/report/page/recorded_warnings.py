@@ -8,8 +8,9 @@ from pathlib import Path
 
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.texts import counted, first_few
+from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES, ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
 

@@ -32,15 +32,15 @@ from salsanext_cli.report.page.mean_uncertainty import mean_in_words
 from salsanext_cli.report.page.recorded_facts import recorded_facts
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.named_scans import named_scans
+from salsanext_cli.runs.results.output_paths import find_outputs, output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_outputs, output_path
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import ScanResults
-from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.scans.named_scans import named_scans
+from salsanext_cli.runs.scans.selection import MissingResults
 from salsanext_cli.runs.summary.comparison import ScanComparison, read_softmax
-from salsanext_cli.runs.summary.scan_summary import guarantee_of_run
+from salsanext_cli.runs.summary.guarantee_of_run import guarantee_of_run
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty, the best indicator of an uncertain scan first."""
@@ -215,15 +215,15 @@ class RunResults:
 
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
-        records = Manifest(self.reader.out)
-        settings = records.prediction()
+        out = self.reader.out
+        settings = Provenance(out).prediction()
         if settings is None:
             return None
         means = {r.file.name: r.uncertainty.get("least_confidence", math.nan) for r in self.rows}
         confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}
         warnings: dict[str, list[str]] = {}
-        recorded = OwnedFolder(records.root, "predict").findings()
-        for sequence, stem in find_outputs(records.root, "predictions"):
+        recorded = OwnedFolder(out, "predict").findings()
+        for sequence, stem in find_outputs(out, "predictions"):
             name = f"{sequence}/{stem}"
             for finding in recorded.get(name, ()):
                 warnings.setdefault(finding.code, []).append(name)

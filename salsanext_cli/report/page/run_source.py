@@ -8,8 +8,8 @@ from pathlib import Path
 
 from salsanext_cli.core.texts import counted
 from salsanext_cli.report.page.run_results import RunResults
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 
 DATED_FOLDERS = ("predictions", "uncertainty")
 """Folders, in those of sequences, whose files date a page."""

@@ -17,9 +17,10 @@ from salsanext_cli.core.records import Float
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.kitti_labels import read_labels
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.scan_results import read_kind
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 
@@ -155,7 +156,7 @@ def _mean(values: Float) -> float:
 
 def _rejected(out: Path, values: dict[str, Float]) -> Rejection:
     """Count the points above the threshold of the run; none without a threshold."""
-    settings = Manifest(out).prediction()
+    settings = Provenance(out).prediction()
     if settings is None or settings.reject is None:
         return Rejection()
     uncertainty = values.get(settings.reject_by or "error")

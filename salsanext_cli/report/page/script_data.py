@@ -16,7 +16,7 @@ from salsanext_cli.report.page.confusions import cells_of
 from salsanext_cli.report.page.drive_data import drive_data
 from salsanext_cli.report.page.mean_uncertainty import TITLES
 from salsanext_cli.report.page.run_results import UNCERTAIN, RunResults
-from salsanext_cli.runs.results.paths import find_outputs
+from salsanext_cli.runs.results.output_paths import find_outputs
 
 OUTCOME_COLOURS = {"not judged": NOT_JUDGED, "right": (125, 133, 145), "wrong": WRONG}
 """Colours of points by outcome, which differ more than those of pictures."""

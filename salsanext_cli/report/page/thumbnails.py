@@ -16,8 +16,8 @@ from salsanext_cli.report.colours import Colours, value_colours, value_range
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.scan_row import ScanRow
 from salsanext_cli.report.scan_pictures import raster
-from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 MAX_THUMBNAILS = 100  # Most thumbnails of a page, each of about 5 kB

@@ -15,10 +15,11 @@ from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.drives.drive_record import DRIVE, drive_record, recorded_drive
 from salsanext_cli.runs.drives.earlier_fusion import earlier_fusion, other_drive
 from salsanext_cli.runs.drives.scans_of_drive import computed_drive
+from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.owned_folder import foreign_file
-from salsanext_cli.runs.results.paths import ScanFile, find_outputs
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def drive_of_run(

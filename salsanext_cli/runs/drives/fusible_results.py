@@ -17,13 +17,15 @@ from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.scans_of_drive import drive_of_scans
 from salsanext_cli.runs.records.digest_files import recorded_scans
 from salsanext_cli.runs.records.stage_settings import FuseSettings, PredictSettings
+from salsanext_cli.runs.results.folder_names import SINGLE_SCAN_STAGES
 from salsanext_cli.runs.results.making_commands import PREDICT_VOTES
+from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import SINGLE_SCAN_STAGES, ScanFile, drive_order, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.selection import MissingResults, choose
+from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
+from salsanext_cli.runs.scans.selection import MissingResults, choose
 
 SOFTMAX_FOLDERS = ("probabilities", "votes")
 
@@ -76,7 +78,9 @@ class FusibleResults:
 
     def settings_of_votes(self, reach: FusionReach) -> FuseSettings:
         """Return the settings to record beside the labels of single scans."""
-        return FuseSettings(reach=reach, origins=self.results.manifest.origins(SINGLE_SCAN_STAGES))
+        return FuseSettings(
+            reach=reach, origins=self.results.provenance.origins(SINGLE_SCAN_STAGES)
+        )
 
     def settings_of_labels(self, reach: FusionReach, target: Path) -> FuseSettings:
         """Return the settings to record for the fused labels in a folder."""
@@ -93,7 +97,7 @@ class FusibleResults:
             temperature=prediction.temperature,
             reach=reach,
             fused_of=os.path.relpath(self.results.root, target),
-            origins=self.results.manifest.origins(SINGLE_SCAN_STAGES),
+            origins=self.results.provenance.origins(SINGLE_SCAN_STAGES),
         )
 
 
@@ -127,14 +131,14 @@ def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     all_scans = results.scans()
     with_softmax = with_outputs(all_scans, out, *SOFTMAX_FOLDERS)
     with_softmax = with_outputs(with_softmax, out, "predictions")
-    space = results.manifest.label_space()
-    softmax_space = results.manifest.label_space(*SOFTMAX_FOLDERS)
+    space = results.provenance.label_space()
+    softmax_space = results.provenance.label_space(*SOFTMAX_FOLDERS)
     if not with_softmax or space is None or softmax_space is None:
         raise _no_softmax(results, all_scans)
     if not space.fits(softmax_space):
         problem = f"has labels of {space.name}, but softmax of {softmax_space.name}"
         raise OutputError(out, problem, "the same label space", "predict both again")
-    compared_space = results.manifest.compared_space(with_softmax, other_ids=True)
+    compared_space = results.provenance.compared_space(with_softmax, other_ids=True)
     selected = choose(all_scans, query.selection, compared_space, out)
     fusible = {*selected} & {*with_softmax}
     missing = results.missing_predictions({*selected} - fusible)
@@ -144,7 +148,7 @@ def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
         scans=[file for file in selected if file in fusible],
         members=_in_order_of_drives(with_softmax),
         space=space,
-        sensor=results.manifest.sensor(),
+        sensor=results.provenance.sensor(),
         missing=missing,
     )
 
@@ -154,7 +158,7 @@ def _require_unrejected(out: Path) -> None:
     predictions = OwnedFolder(out, "predict")
     if predictions.is_shared():
         raise predictions.busy()
-    if ResultFolder(out).manifest.rejected_above() is not None:
+    if ResultFolder(out).provenance.rejected_above() is not None:
         problem = "has labels of which some were rejected"
         hint = f"predict without {argument('reject')}"
         raise OutputError(out, problem, "all labels, since votes replace rejected ones", hint)

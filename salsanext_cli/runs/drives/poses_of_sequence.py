@@ -25,7 +25,7 @@ from salsanext_cli.core.sensors.sensor import UP, Sensor
 from salsanext_cli.core.texts import percentage
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.fit.pose_files import position_in_file, readings_of
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 OriginOf = Callable[[ScanFile], Origin | None]
 """Function that returns the origin of a registered scan, None if it is to be found from points."""

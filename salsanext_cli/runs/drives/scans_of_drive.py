@@ -25,7 +25,7 @@ from salsanext_cli.runs.drives.poses_of_sequence import (
 )
 from salsanext_cli.runs.fit.pose_files import poses_beside
 from salsanext_cli.runs.fit.pose_origins import sensor_positions
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 log = logging.getLogger(__name__)
 

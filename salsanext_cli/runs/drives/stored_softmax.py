@@ -12,7 +12,8 @@ from salsanext_cli.core.records import Float
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.npy import read_array, read_probabilities
-from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def stored_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> Float:

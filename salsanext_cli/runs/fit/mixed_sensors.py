@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.geometry.scan_traits import ScanTraits, groups_of
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 SEPARATE_FOLDERS_HINT = "put the scans of each sensor into a separate folder"
 

@@ -11,8 +11,9 @@ from salsanext_cli.core.records import Double, Origin, Scan
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.recordings import recorded_poses, recording_of
 from salsanext_cli.io.poses import pose_readings
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
-from salsanext_cli.runs.results.paths import ScanFile, drive_order, find_scans
+from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
+from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 def poses_beside(files: Sequence[ScanFile]) -> Path | None:

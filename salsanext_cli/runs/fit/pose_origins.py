@@ -22,8 +22,8 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.fit.pose_files import poses_beside, position_in_file, readings_of
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import evenly_spaced
 
 COMPARED_SCANS = 5  # Scans of a sequence that show whether its poses are those of the sensor
 

@@ -11,8 +11,9 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.formats.npy import read_array
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.setting_differences import differences
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:

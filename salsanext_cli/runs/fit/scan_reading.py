@@ -14,7 +14,7 @@ from salsanext_cli.core.labelling import PreparedScan, prepare_for, project_scan
 from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

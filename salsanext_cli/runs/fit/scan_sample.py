@@ -8,8 +8,8 @@ from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.records import Float, Origins, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import evenly_spaced
 
 ImageOf = Callable[[ScanFile], Float]
 """Function that returns the range image (5, H, W) float32 of a scan that was projected before."""

@@ -6,23 +6,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from salsanext_cli.core.engines.device import number_type_of_labels
 from salsanext_cli.core.engines.network import Network
-from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample, intensity_method
+from salsanext_cli.core.fitting.network_fit import FitSettings, fit_to_sample
 from salsanext_cli.core.fitting.scan_sample import ScanSample
 from salsanext_cli.core.fitting.view_fit import fit_sensor, fit_views
-from salsanext_cli.core.network.tuned_settings import KEY_OF
-from salsanext_cli.core.plain_data import as_json
 from salsanext_cli.core.records import Origins, Scan
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, ImageOf, OriginsOf, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import evenly_spaced
 
 Computed = TypeVar("Computed", bound=ComputedSettings)
 
@@ -140,33 +139,6 @@ def fitted_members(
     """
     sample = sample_of_files(files, sensor)
     return fit_views(sample, sensor, earlier, view=view, mounting=mounting)
-
-
-def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:
-    """Return the settings that labels depend on besides weights and scans, by `KEY_OF`."""
-    view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
-    label_settings = {
-        "min_range": view.pop("min_range", None),
-        "ego": view.pop("ego_box", None),
-        "intensity": intensity_method(settings.intensity, network),
-        "precision": number_type_of_labels(network.backend.precision),
-        "width": view.pop("width"),
-        "sensor": {key: value for key, value in view.items() if key != "columns"},
-    }
-    return dict(as_json({KEY_OF[name]: value for name, value in label_settings.items()}))
-
-
-def as_typed(argument: str, value: Any) -> str:
-    """Return a value of `labels_depend_on` as it is typed for its argument."""
-    if argument == "ego" and not value:
-        return "auto" if value is None else "none"
-    if argument == "ego":
-        return ",".join(f"{number:g}" for number in value)
-    if argument == "intensity":
-        return str(value or "raw")
-    if value is None:
-        return "the default"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def network_of_run(

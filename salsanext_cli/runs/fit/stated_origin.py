@@ -12,7 +12,7 @@ from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import argument
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 log = logging.getLogger(__name__)
 

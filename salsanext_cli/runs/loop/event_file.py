@@ -15,7 +15,7 @@ from salsanext_cli.core.texts import escaped
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from salsanext_cli.runs.results.paths import ScanFile
+    from salsanext_cli.runs.scans.scan_file import ScanFile
 
 EVENT_SCHEMA = 1
 """Version of the lines; it grows when a key changes or goes."""

@@ -21,7 +21,7 @@ from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.pipeline import Pipeline, Report
 from salsanext_cli.runs.loop.run_options import RunOptions, cores
 from salsanext_cli.runs.loop.timed_job import Clock, Pace, TimedJob
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 MIN_SCANS = 500  # Fewest scans of a run for which workers are considered
 WARM_UP_SCANS = 48  # Scans before the measurement, in which libraries load what they need

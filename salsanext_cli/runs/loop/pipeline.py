@@ -18,7 +18,7 @@ from salsanext_cli.core.engines.memory import out_of_memory
 from salsanext_cli.core.errors import FormatError, SalsanextError
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.loop.job import Attempt, Computed, OpenableTask, Prepared, ScanJob, Task
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 Result = TypeVar("Result")
 Value = TypeVar("Value")

@@ -35,7 +35,7 @@ from salsanext_cli.runs.loop.finished_attempts import (
 from salsanext_cli.runs.loop.job import Attempt, OpenableTask, Task
 from salsanext_cli.runs.loop.pipeline import AttemptFunction, opened
 from salsanext_cli.runs.loop.run_options import CHUNKS_IN_FLIGHT, RunOptions, cores
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 HARMLESS_WARNINGS = (
     # The user has stopped the run, perhaps after its last task.

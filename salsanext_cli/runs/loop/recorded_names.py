@@ -5,9 +5,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from salsanext_cli.runs.results.layouts import layout_of
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.layouts import layout_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def with_recorded_names(scans: Iterable[ScanFile], out: Path) -> list[ScanFile]:

@@ -34,9 +34,10 @@ from salsanext_cli.runs.loop.measured_workers import attempts_as_needed, needs_m
 from salsanext_cli.runs.loop.pipeline import attempt_function, opened_work
 from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.loop.run_options import Progress, RunOptions
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.selection import MissingResults
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import MissingResults
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 

@@ -14,8 +14,8 @@ from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Origins
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ScanFile
 from salsanext_cli.runs.results.recorded_origins import are_replaced, recorded_origin
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from salsanext_cli.core.engines.device_time import DeviceTime
 from salsanext_cli.runs.loop.job import ScanJob
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 Clock = Callable[[], float]
 

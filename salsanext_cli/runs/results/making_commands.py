@@ -10,14 +10,16 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.wording import command, setting
+from salsanext_cli.runs.results.folder_names import ERROR
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
-from salsanext_cli.runs.results.paths import ERROR, ScanFile, find_scans
 from salsanext_cli.runs.results.repeated_settings import (
     extras_of_run,
     network_record,
     settings_of_run,
 )
-from salsanext_cli.runs.results.selection import data_set_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import data_set_of
 
 UNKNOWN_SCANS = "SCANS"
 """Word for scans that are not known, or in several folders."""

@@ -13,7 +13,7 @@ from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.label_spaces import label_space
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 from salsanext_cli.runs.results.making_commands import PREDICT_UNMERGED_ERROR
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 SUFFIX_OF_FOLDER = "-error"  # What a hint appends to the name of the output folder
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.io.files.reading import present
-from salsanext_cli.runs.results.paths import ScanFile, find_scans, scans_at_top, scans_of_sequences
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans, scans_at_top, scans_of_sequences
 
 
 def recorded_scans(folder: Path, sequence: str, suffixes: Mapping[str, str]) -> list[ScanFile]:

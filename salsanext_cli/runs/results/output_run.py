@@ -20,6 +20,7 @@ from salsanext_cli.io.files.reading import filled
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.runs.records.digest_files import files_of, names_files, with_files
 from salsanext_cli.runs.records.stage_settings import StageSettings
+from salsanext_cli.runs.results.folder_names import DISAGREEMENT, ERROR
 from salsanext_cli.runs.results.manifest import (
     Manifest,
     ScanSource,
@@ -28,15 +29,10 @@ from salsanext_cli.runs.results.manifest import (
     require_same_settings,
     settings_json,
 )
+from salsanext_cli.runs.results.output_paths import find_outputs, output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
-from salsanext_cli.runs.results.paths import (
-    DISAGREEMENT,
-    ERROR,
-    ScanFile,
-    find_outputs,
-    output_path,
-)
 from salsanext_cli.runs.results.setting_differences import with_new_scales
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

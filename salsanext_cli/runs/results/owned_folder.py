@@ -36,7 +36,7 @@ from salsanext_cli.io.files.json_files import read_record, write_json
 from salsanext_cli.io.files.locks import locked, remove_if_empty
 from salsanext_cli.io.files.reading import filled, is_folder, present, reading
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.scan_folders import FILE_LISTS
+from salsanext_cli.runs.scans.scan_folders import FILE_LISTS
 
 SUBFOLDERS = (
     "sequences/*/",

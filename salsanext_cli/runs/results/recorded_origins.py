@@ -14,9 +14,11 @@ from salsanext_cli.core.records import Double, Origin, Origins, Scan
 from salsanext_cli.core.sensors.sensor import ORIGIN, Sensor
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.npy import read_array
+from salsanext_cli.runs.results.folder_names import ORIGINS
 from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.output_run import OutputRun
-from salsanext_cli.runs.results.paths import ORIGINS, ScanFile, output_path
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 def sensor_of_result(out: Path, file: ScanFile, scan: Scan, sensor: Sensor) -> Sensor:

@@ -14,6 +14,7 @@ from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.provenance import Provenance
 
 NETWORK_STAGES = ("predict", "uncertainty")
 """Stages whose records have the settings of a network, the first one decides."""
@@ -68,7 +69,7 @@ def settings_of_run(records: Manifest, omitted: Collection[str] = ()) -> list[st
 
 def extras_of_run(records: Manifest, extras: tuple[str, ...]) -> list[str]:
     """Return the settings for further results of `predict`, with those that its labels have."""
-    prediction = records.prediction()
+    prediction = Provenance(records.root).prediction()
     settings: list[str] = []
     if prediction and prediction.reject is not None:
         settings.append(setting("reject", "risk" if prediction.guarantee else prediction.reject))

@@ -5,7 +5,7 @@ import logging
 import os
 import shlex
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -22,22 +22,17 @@ from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.recordings import recording_of
-from salsanext_cli.runs.results.layouts import SCAN_FOLDER
+from salsanext_cli.runs.results.folder_names import (
+    PREDICTION_STAGES,
+    SINGLE_SCAN_STAGES,
+    SUFFIX_OF_FOLDER,
+)
 from salsanext_cli.runs.results.making_commands import PREDICT_VOTES, making_hint
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
 from salsanext_cli.runs.results.merged_labels import are_in_merged_classes, hint_for_error
 from salsanext_cli.runs.results.moved_scans import recorded_scans, scans_of_renamed
-from salsanext_cli.runs.results.paths import (
-    PREDICTION_STAGES,
-    SINGLE_SCAN_STAGES,
-    SUFFIX_OF_FOLDER,
-    ScanFile,
-    find_outputs,
-    find_scans,
-    output_path,
-    require_unique_stems,
-    with_outputs,
-)
+from salsanext_cli.runs.results.output_paths import find_outputs, output_path, with_outputs
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.scan_results import (
@@ -47,8 +42,11 @@ from salsanext_cli.runs.results.scan_results import (
     read_point_labels,
     read_truth,
 )
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import (
+from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
+from salsanext_cli.runs.scans.scan_file import ScanFile, require_unique_stems
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import (
     MissingResults,
     choose,
     data_set_of,
@@ -63,8 +61,6 @@ FOLDER_OF_COLUMN = {
 """Folders of the values of points by column; other columns are in no folder."""
 # A scan with a file in one of these has results; `predict` writes the confidence too.
 FOLDERS = ("predictions", *(f"uncertainty/{k}" for k in UNCERTAINTY if k != "least_confidence"))
-UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
-"""Settings of `uncertainty` that an evaluation records."""
 
 log = logging.getLogger(__name__)
 
@@ -91,6 +87,11 @@ class ResultFolder:
     def manifest(self) -> Manifest:
         """Records of the stages that wrote the results."""
         return Manifest(self.root)
+
+    @property
+    def provenance(self) -> Provenance:
+        """What the records state about the results."""
+        return Provenance(self.root)
 
     def scans(self, sequence: str | None = None) -> list[ScanFile]:
         """Find the scans of the sequences with results; log results whose scans are gone."""
@@ -135,7 +136,7 @@ class ResultFolder:
         if fused is None or fused.fused_of is None:
             return
         single = Manifest(self.root / fused.fused_of)
-        origins = single.origins(SINGLE_SCAN_STAGES)
+        origins = Provenance(single.root).origins(SINGLE_SCAN_STAGES)
         if origins and origins != fused.origins:
             out = Path(os.path.normpath(single.root))
             if single.owner("votes", "probabilities"):
@@ -201,7 +202,7 @@ class ResultFolder:
         classes: LabelSpace | None,
     ) -> tuple[list[ScanFile], LabelSpace]:
         """Select some of the scans of the sequences with results, as `predicted`."""
-        space = self.manifest.compared_space(scans, space, classes, other_ids=True)
+        space = self.provenance.compared_space(scans, space, classes, other_ids=True)
         if selection.split:
             space = with_splits(space, data_set_of(scans[0]))
         chosen = choose(scans, selection, space, self.root)
@@ -219,7 +220,7 @@ class ResultFolder:
         unlimited = replace(query.selection, limit=None)
         listed = self.scans()
         chosen, space = self._selected(listed, unlimited, query.label_space, query.classes)
-        self.manifest.require_same_weights()
+        self.provenance.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
             hint = making_hint("label", self.root, *chosen[:1])
@@ -233,27 +234,6 @@ class ResultFolder:
         return ChosenResults(
             listed=listed, scans=scans, space=space, labels=labels, missing=missing
         )
-
-    def provenance(self, selection: ScanSelection) -> dict[str, object]:
-        """Return the selection and the settings of its predictions, as plain data."""
-        stage = self.manifest.owner("predictions")
-        softmax = self.manifest.settings("predict")
-        estimated = self.manifest.settings("uncertainty")
-        made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
-        uncertainty = None
-        if estimated:
-            values = {name: getattr(estimated, name) for name in UNCERTAINTY_SETTINGS}
-            uncertainty = {name: value for name, value in values.items() if value is not None}
-        recorded = {
-            "dataset": str(self.dataset.absolute()) if self.dataset else None,
-            "predictions_of": stage,
-            "weights": self.manifest.weights("predictions"),
-            "temperature": softmax.temperature if softmax else None,
-            "reject": self.manifest.rejected_above(),
-            "uncertainty": uncertainty,
-            "origins": self.manifest.origins(sorted(made_by)),
-        }
-        return asdict(selection) | recorded
 
     def read(
         self,
@@ -293,7 +273,7 @@ class ResultFolder:
         labels = read_point_labels(self._path(file, "label"), count)
         if labels is None or labels.objects is None:
             return labels
-        prediction = self.manifest.prediction()
+        prediction = self.provenance.prediction()
         has_objects = prediction is not None and prediction.objects
         if has_objects or labels.objects.any():
             return labels
@@ -303,8 +283,8 @@ class ResultFolder:
         self, label: RawIds | None, classes: LabelSpace | None
     ) -> npt.NDArray[np.bool_] | None:
         """Return which points have no label in a run that rejects labels, (N,); else None."""
-        space = classes or self.manifest.label_space()
-        if label is None or space is None or self.manifest.rejected_above() is None:
+        space = classes or self.provenance.label_space()
+        if label is None or space is None or self.provenance.rejected_above() is None:
             return None
         return space.to_train(label, strict=False) == 0
 
@@ -328,8 +308,8 @@ class ResultFolder:
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         expected = f"the file {self._path(file, column)}"
         hint = making_hint(column, self.root, file)
-        weights = self.manifest.weights("predictions")
-        if column == "error" and are_in_merged_classes(self.manifest.label_space(), weights):
+        weights = self.provenance.weights("predictions")
+        if column == "error" and are_in_merged_classes(self.provenance.label_space(), weights):
             hint = hint_for_error(self.root, file)
         return NoInputError(file.path, f"has no {column}", expected, hint)
 

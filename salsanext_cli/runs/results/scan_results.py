@@ -18,7 +18,8 @@ from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.npy import read_uncertainty
-from salsanext_cli.runs.results.paths import COLOURS, ScanFile
+from salsanext_cli.runs.results.folder_names import COLOURS
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 HEIGHT = "height"
 PICTURE_COLOURS = (*COLOURS, HEIGHT)

@@ -43,10 +43,11 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.io.formats.npy import read_probabilities
 from salsanext_cli.runs.records.digest_files import NO_SCANS, RecordedScans
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.scan_results import read_kind
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +68,12 @@ class ScanComparison:
 
     @classmethod
     def from_results(
-        cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool = False
+        cls,
+        results: Provenance,
+        space: LabelSpace,
+        labels: LabelSpace,
+        *,
+        by_distance: bool = False,
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
         return cls(

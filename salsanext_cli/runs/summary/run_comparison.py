@@ -24,8 +24,9 @@ from salsanext_cli.core.plain_data import plain
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.files.json_files import read_record
 from salsanext_cli.io.files.reading import is_folder
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import PREDICTION_STAGES, drive_order
+from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_file import drive_order
 from salsanext_cli.runs.summary.run_pair import RunPair, ScanPair
 from salsanext_cli.version import __version__
 
@@ -120,8 +121,8 @@ def run_comparison(pairs: Sequence[ScanPair], runs: RunPair) -> RunComparison:
         parts = consecutive_parts([pair.file.sequence for pair in scored])
         differences = score_differences(sums, parts)
     space = runs.space
-    before = Manifest(runs.before)
-    after = Manifest(runs.after)
+    before = Provenance(runs.before)
+    after = Provenance(runs.after)
     is_known = not any(recorded.missing for recorded in runs.trained_on)
     ious = differences.classes if differences else {}
     transitions: Counts = np.sum([pair.transitions for pair in ordered], axis=0)
@@ -227,6 +228,6 @@ def _is_current(comparison: RunComparison, out: Path) -> bool:
     """Return whether both runs have the settings that were compared, the weights among them."""
     before, after = comparison.origins
     first = Path(comparison.before)
-    if is_folder(first) and Manifest(first).origins(PREDICTION_STAGES) != before:
+    if is_folder(first) and Provenance(first).origins(PREDICTION_STAGES) != before:
         return False
-    return Manifest(out).origins(PREDICTION_STAGES) == after
+    return Provenance(out).origins(PREDICTION_STAGES) == after

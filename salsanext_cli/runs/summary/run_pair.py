@@ -22,10 +22,11 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.records.digest_files import RecordedScans
-from salsanext_cli.runs.results.paths import ScanFile, output_path, with_outputs
+from salsanext_cli.runs.results.output_paths import output_path, with_outputs
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.selection import MissingResults, space_of_labels
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import MissingResults, space_of_labels
 
 OTHER_SCANS = "compare runs on the same scans"
 
@@ -108,8 +109,8 @@ class RunPair:
             scans=common,
             space=space,
             labels=space_of_labels(common, space, query.label_space),
-            sensor=first.manifest.sensor(),
-            trained_on=[run.manifest.trained_on() for run in (first, second)],
+            sensor=first.provenance.sensor(),
+            trained_on=[run.provenance.trained_on() for run in (first, second)],
             missing=_missing(first, second, unlabelled),
         )
 
@@ -184,7 +185,7 @@ class RunPair:
 
 def _require_all_labels(run: ResultFolder) -> None:
     """Refuse a run that rejected labels, which are neither right nor wrong."""
-    if run.manifest.rejected_above() is not None:
+    if run.provenance.rejected_above() is not None:
         problem = "rejected labels, which are neither right nor wrong"
         hint = "compare coverage and risk, which `salsanext eval` prints for each run"
         raise UsageError(run.root, problem, "a run with all labels", hint)
@@ -219,7 +220,7 @@ def _require_same_scans(
     common = list(first_by_name.values())
     for _, members in groupby(common, lambda scan: scan.sequence):
         scan = next(members)
-        _require_same_points(scan, second_by_name[scan.name], first.manifest.sensor())
+        _require_same_points(scan, second_by_name[scan.name], first.provenance.sensor())
     return common
 
 

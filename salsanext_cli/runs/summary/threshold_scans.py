@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from salsanext_cli.core.checks.finding import Finding
+from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.fitting.view_fit import is_other_view
 from salsanext_cli.core.measures.population import (
     are_comparable,
@@ -17,13 +20,17 @@ from salsanext_cli.core.measures.population import (
 )
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted, first_few
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.selection import data_set_of
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import data_set_of
 
+NOT_COMPARED = "the scans cannot be compared with those that the threshold was chosen on"
+TUNE_AGAIN_HINT = "choose the threshold with `salsanext tune risk` on labelled scans like these"
 UNLIKE = "the scans differ from those that the threshold was chosen on"
 EARLY = "the threshold was chosen by an earlier version, which did not record the sensor"
+log = logging.getLogger(__name__)
 MAX_COMPARED = 5000  # Most scans that are compared with those of a threshold
 
 
@@ -57,6 +64,19 @@ class ThresholdComparison:
     sensor: Sensor  # Sensor that the scans were projected for
     traits: Mapping[str, UnitTraits]  # By name of the scan
     classes: Sequence[str]  # Names of the classes from train id 1 on
+
+    def finding(self, risk: RiskThreshold) -> Finding | None:
+        """Return the warning that scans are unlike those of a threshold; None without evidence.
+
+        If they cannot be compared, a line says so.
+        """
+        problem = self.difference(risk)
+        if problem:
+            return Finding(WarningCode.OTHER_SCANS, problem, TUNE_AGAIN_HINT)
+        reason = why_incomparable(risk, self.units(risk)) if self.traits else ""
+        if reason:
+            log.log(NOTICE, "%s (%s)", NOT_COMPARED, reason)
+        return None
 
     def difference(self, risk: RiskThreshold) -> str:
         """Return the evidence that the scans are unlike those of a threshold, else no text."""

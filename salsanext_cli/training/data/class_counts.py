@@ -28,8 +28,9 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.io.files.json_files import encode_json, read_json
 from salsanext_cli.io.files.reading import identity
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.data.reading_progress import with_progress
 from salsanext_cli.training.data.sources import Source, read_labelled, without_vehicle
@@ -186,7 +187,7 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarn
         for scan in members:
             summary.add(scan)
         summary.compare_scans()
-    return summary.finished().warnings()
+    return summary.finished().warnings.by_code()
 
 
 def _cached(

@@ -24,7 +24,7 @@ from salsanext_cli.core.geometry.projection import pixels_from_points, project
 from salsanext_cli.core.geometry.row_gaps import row_gaps, with_filled_gaps
 from salsanext_cli.core.records import Float, Mask
 from salsanext_cli.core.sensors.sensor import ORIGIN, UP, Sensor
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data import augment, other_sensors
 from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.sources import Source

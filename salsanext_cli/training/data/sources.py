@@ -26,15 +26,16 @@ from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import setting
 from salsanext_cli.io.formats import read_scan
 from salsanext_cli.io.label_spaces import label_space
-from salsanext_cli.runs.fit.scan_sample import sample_of_files
-from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
-from salsanext_cli.runs.labelling.las_classification import (
+from salsanext_cli.runs.annotation.label_records import pre_labelled_scans
+from salsanext_cli.runs.annotation.las_classification import (
     classified_scans,
     labels_source,
     read_scan_labels,
 )
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.selection import data_set_label_space, log_unused, with_splits
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import data_set_label_space, log_unused, with_splits
 from salsanext_cli.training.data.augment import AnnotatedScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 

@@ -20,7 +20,7 @@ from salsanext_cli.core.on_device.network_input import network_inputs
 from salsanext_cli.core.on_device.projection import project
 from salsanext_cli.core.on_device.scan_batch import ScanBatch
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.scoring.validated_scan import MAX_VALIDATED_POINTS, ValidatedScan
 

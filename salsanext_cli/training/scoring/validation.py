@@ -21,7 +21,7 @@ from salsanext_cli.core.network.error_model import TEMPERATURES
 from salsanext_cli.core.records import Float, RangeImage
 from salsanext_cli.runs.loop.job import ScanJob, Steps
 from salsanext_cli.runs.loop.network_task import network_pipeline
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.run_folder import Row

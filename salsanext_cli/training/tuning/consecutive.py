@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.texts import counted
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 
 """Code of the warning."""

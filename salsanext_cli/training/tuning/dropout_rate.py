@@ -18,7 +18,7 @@ from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 from salsanext_cli.core.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 from salsanext_cli.io.weights.loading import with_dropout
 from salsanext_cli.runs.loop.job import Steps
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 

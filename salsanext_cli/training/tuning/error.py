@@ -22,7 +22,7 @@ from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.uncertainty.error_features import FEATURES, features_of, knows_error
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.loop.job import Steps
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.cross_validation import held_out, others_of
 from salsanext_cli.training.tuning.error_training import JudgedPoints, fit_error
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans

@@ -21,7 +21,7 @@ from salsanext_cli.core.uncertainty.error_features import error_probability
 from salsanext_cli.io.formats.kitti_labels import read_labels
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.loop.job import Steps
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 from salsanext_cli.training.tuning.scans import NOT_SCORED, TuningScans
 

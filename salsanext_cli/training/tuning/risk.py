@@ -29,9 +29,9 @@ from salsanext_cli.core.sensors.sensor import FittedView
 from salsanext_cli.core.texts import first_few, percentage, with_hint
 from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.core.wording import argument
-from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.selection import data_set_of
+from salsanext_cli.runs.fit.threshold_settings import label_settings
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import data_set_of
 from salsanext_cli.runs.summary.scan_warnings import ScanWarning, log_recorded
 from salsanext_cli.training.tuning.consecutive import consecutive_warning
 from salsanext_cli.training.tuning.judged_scans import JudgedScan, judged_scans
@@ -217,7 +217,7 @@ def _threshold(
         scans=len(judged),
         sequences=tuple(sorted({scan.file.sequence for scan in judged})),
         digests="".join(scan.digest for scan in judged),
-        settings=labels_depend_on(scans.settings, network),
+        settings=label_settings(scans.settings, network),
         views=tuple(FittedView.from_sensor(member) for member in network.sensor.members),
         population=_population(judged, unit),
         data_set=(data_set_of(scans.files[0]) or scans.source).resolve().name,

@@ -14,10 +14,10 @@ from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.core.wording import argument
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.labelling.label_records import require_labels
-from salsanext_cli.runs.results.paths import ScanFile
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import (
+from salsanext_cli.runs.annotation.label_records import require_labels
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import (
     choose,
     data_set_of,
     evenly_spaced,

@@ -22,7 +22,8 @@ from salsanext_cli.runs.loop.job import Computed, Prepared, ScanJob
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.loop.run_origins import OriginsOfSource
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 

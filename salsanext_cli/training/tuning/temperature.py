@@ -21,7 +21,7 @@ from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.records import Float
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.runs.loop.job import Steps
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 

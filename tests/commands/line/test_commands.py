@@ -15,7 +15,7 @@ from scans import SMALL, labels_below, make_scan, write_array, write_bin, write_
 
 from salsanext_cli.core.notices import log_once
 from salsanext_cli.io.weights.card_file import read_card
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ def test_the_folder_of_results_records_it(run, drive, weights, tmp_path):
     named = [*call, "--intensity-field", "echo"]
     assert "intensity_field" in run(*named, status=1).stderr
     assert "no-intensity" not in json.dumps(only_json(run(*named, "--overwrite", status=0)))
-    assert ResultFolder(out).manifest.sensor().intensity_field == "echo"
+    assert ResultFolder(out).provenance.sensor().intensity_field == "echo"
     # Later commands need the option no more.
     run("export-ply", out, "--colour", "intensity", status=0)
     cloud = (out / "sequences/drive/ply/0.ply").read_bytes()

@@ -18,7 +18,7 @@ from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.training.data.class_counts import count_classes
 from salsanext_cli.training.recipe import Recipe
 
@@ -110,7 +110,7 @@ def test_later_runs_repeat_the_warnings(dataset):
     def projected(selection=whole, **options):
         how = RunOptions(**options)
         outcome = project_scans(dataset, out, sensor=UPWARDS, selection=selection, options=how)
-        return outcome.summary.warnings()
+        return outcome.summary.warnings.by_code()
 
     first = projected()
     assert by_code(first) == {"out-of-view": ["00/0", "00/1", "00/2"]}

@@ -26,9 +26,10 @@ from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.runs.loop.cluster import attempts
 from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.loop.run_options import RunOptions
-from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.runs.summary.run_comparison import FILES, recorded_comparison
 
 TREE = 70

@@ -16,8 +16,8 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]

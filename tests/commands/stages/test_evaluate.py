@@ -11,10 +11,11 @@ from scans import files_below, refused
 
 from salsanext_cli.commands.stages.evaluate import evaluate_scans, part_of
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_scans, output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 @pytest.fixture

@@ -13,7 +13,8 @@ from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvalua
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import find_scans, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
 C = SPACE.class_count

@@ -20,9 +20,9 @@ from salsanext_cli.core.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.io.formats.ros.cloud_messages import columns_of_fields
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 NEW = f"{TOPIC}/labelled"
 STOP = RunOptions(on_error="stop")

@@ -18,9 +18,9 @@ from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 laspy = pytest.importorskip("laspy")
 SPACE = label_space()

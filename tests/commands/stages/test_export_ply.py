@@ -19,7 +19,7 @@ from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 SPACE = label_space()
 OVERWRITE = RunOptions(overwrite=True)

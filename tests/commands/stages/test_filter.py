@@ -21,8 +21,8 @@ from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
 
 SPACE = label_space()

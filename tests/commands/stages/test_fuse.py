@@ -37,7 +37,7 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 SPACE = label_space()
 STEMS = ("000000", "000001", "000002")
@@ -114,10 +114,10 @@ def test_fused_labels_are_a_folder_of_results_and_rejected_ones_are_not_fused(dr
     fuse_results(drive.out)
     results = ResultFolder(drive.out / "fused")
     assert results.manifest.owner("predictions") == "fuse"
-    assert results.manifest.weights("predictions") == ResultFolder(drive.out).manifest.weights(
+    assert results.provenance.weights("predictions") == ResultFolder(drive.out).provenance.weights(
         "predictions"
     )
-    assert results.manifest.sensor() == ResultFolder(drive.out).manifest.sensor()
+    assert results.provenance.sensor() == ResultFolder(drive.out).provenance.sensor()
     for folder, kinds in ((drive.out / "fused", set()), (drive.out, {"least_confidence"})):
         scans, space = ResultFolder(folder).predicted(ScanSelection())
         found = evaluate_scans(scans, folder, space).uncertainty
@@ -465,5 +465,5 @@ def test_sequences_are_fused_one_after_the_other_whatever_was_found(world):
     for sequence, codes in (("00", {"apart"}), ("08", set())):
         query = ResultQuery(selection=ScanSelection(sequences=(sequence,)))
         outcome = fuse_results(world.out, query=query)
-        assert outcome.summary.findings.keys() == codes
+        assert outcome.summary.warnings.findings.keys() == codes
     assert {*OwnedFolder(world.out / "fused", "fuse").findings()} == {"00"}

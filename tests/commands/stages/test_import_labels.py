@@ -15,13 +15,13 @@ from scans import files_below, make_scan, refused, write_sequence
 from salsanext_cli import LabelSpace, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages.import_labels import import_labels
 from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.io.annotation_tools.registry import tool_named
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.formats.pcd_writing import encode_pcd
 from salsanext_cli.io.frames import FRAMES, encode_frames
-from salsanext_cli.io.labelling_tools.registry import tool_named
-from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
+from salsanext_cli.runs.annotation.label_records import pre_labelled_scans
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 SPACE = label_space()
 STEMS = ("000010", "000011", "000012")

@@ -24,7 +24,8 @@ from salsanext_cli.core.uncertainty.error_features import FEATURES
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights, save_with_card
-from salsanext_cli.runs.results.paths import ERROR, find_scans
+from salsanext_cli.runs.results.folder_names import ERROR
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.recipe import Recipe
 
 MODEL = ErrorModel(

@@ -13,9 +13,10 @@ from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
-from salsanext_cli.runs.fit.sensor_fit import labels_depend_on
+from salsanext_cli.runs.fit.threshold_settings import label_settings
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.provenance import Provenance
 
 SPACE = label_space()
 
@@ -50,18 +51,19 @@ def test_pixel_labels_of_other_weights_are_noticed(pixels, tmp_path):
 def test_labels_that_an_earlier_version_refined_have_the_weights_of_no_pixel_labels(pixels):
     knn_refine_scans(pixels.out)
     manifest = Manifest(pixels.out)
-    assert manifest.weights("predictions") == manifest.weights("pixel_labels") is not None
+    provenance = Provenance(pixels.out)
+    assert provenance.weights("predictions") == provenance.weights("pixel_labels") is not None
     record = manifest.record("knn-refine")
     settings = {"labels": "/theirs"} | {k: v for k, v in record.settings.items() if k != "origins"}
     manifest.write(replace(record, settings=settings))
-    assert manifest.weights("predictions") is None
+    assert provenance.weights("predictions") is None
     with pytest.raises(OutputError, match="labels was"):
         knn_refine_scans(pixels.out)
 
 
 def test_rejected_labels_are_not_restored(world, tmp_path):
     network, weights = world.network, tmp_path / "risk.safetensors"
-    tuned = labels_depend_on(network, network.load())
+    tuned = label_settings(network, network.load())
     risk = RiskThreshold("least_confidence", 0.5, 0.5, None, 3, ("00",), settings=tuned)
     save_with_card(network.weights, weights, replace(read_card(network.weights), risk=risk))
     network = replace(network, weights=weights)

@@ -17,7 +17,7 @@ from salsanext_cli.core.fitting.field_of_view import fit_view
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.io.stated_fields import StatedFields, stated_fields
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.provenance import Provenance
 
 HEIGHT = 1.7  # Of the sensor above the ground
 LIFTED = 1.0  # Distance of the sensor below the origin of its files, too far for a usual height
@@ -83,7 +83,7 @@ def test_the_hint_about_the_height_works_as_it_is_printed(lifted, weights, tmp_p
 def test_a_file_with_the_position_alone_gets_the_field_of_view_of_the_scans(lifted, part, weights):
     settings = NetworkSettings(weights, "cpu", engine="torch", sensor=str(part))
     predict_scans(lifted, part.parent / "out", settings=settings)
-    used = Manifest(part.parent / "out").sensor()
+    used = Provenance(part.parent / "out").sensor()
     placed = replace(settings.named_sensor(), origin=(0.0, 0.0, LIFTED))
     scans = [read_scan(path) for path in sorted(lifted.iterdir())]
     expected = fit_view(scans, placed, mounting=False)

@@ -31,13 +31,13 @@ from salsanext_cli.core.errors import (
 from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.frames import read_frames
-from salsanext_cli.runs.labelling.picked_data_set import PickedDataSet
-from salsanext_cli.runs.labelling.scan_description import DescribeJob
+from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
+from salsanext_cli.runs.annotation.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 PASSES = {"samples": 2, "seed": 0}
 

@@ -19,7 +19,7 @@ from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 pytestmark = pytest.mark.drawn
 OVERWRITE = RunOptions(overwrite=True)

@@ -14,8 +14,8 @@ from salsanext_cli.commands.stages.picture import picture
 from salsanext_cli.commands.stages.report import report, view
 from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 NONE, TREE = 0, 70
 POINTS = (

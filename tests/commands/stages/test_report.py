@@ -19,8 +19,8 @@ from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
 
 PERSON = 30

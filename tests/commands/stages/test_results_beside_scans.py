@@ -9,7 +9,7 @@ from command_line import called, only_json
 from scans import make_scan, refused, write_bin, write_sequence
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.runs.results.paths import find_scans, require_no_hidden_scans
+from salsanext_cli.runs.scans.scan_search import find_scans, require_no_hidden_scans
 
 
 @pytest.fixture

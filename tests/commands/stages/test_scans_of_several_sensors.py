@@ -28,9 +28,10 @@ from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 LEANING = upright_rotation(np.array([0.5, 0.0, 0.866]))
 TRAINED = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
@@ -79,7 +80,7 @@ def test_labels_are_those_of_separate_folders(mixed, network, apart, tmp_path, c
     assert labels_below(out) == apart
     assert "sensor 1 of 2: 3 scans, such as mixed/0" in caplog.text
     assert "sensor 2 of 2: 2 scans, such as mixed/1" in caplog.text
-    assert "mixed-sensors" not in outcome.summary.findings
+    assert "mixed-sensors" not in outcome.summary.warnings.findings
     assert predict_scans(mixed, out, settings=network).skipped == 5
     few = UncertaintyMethod(samples=2, aleatoric="none")
     assert uncertainty(mixed, out, settings=network, method=few).done == 5
@@ -117,7 +118,7 @@ def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
     predict_scans(mixed, tmp_path / "out", settings=network)
     results = ResultFolder(tmp_path / "out")
     for file in results.scans():
-        read = results.read(file, results.manifest.sensor())
+        read = results.read(file, results.provenance.sensor())
         assert (read.sensor.name == "fitted") == (file.stem in "13")
         upright = in_sensor_frame(read.scan, read.sensor).points
         assert np.quantile(upright[:, 2], 0.02) > -1.9
@@ -127,10 +128,10 @@ def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
 def test_scans_that_come_later_are_of_one_of_the_sensors(mixed, network, tmp_path):
     out = tmp_path / "out"
     predict_scans(mixed, out, settings=network)
-    before = Manifest(out).recorded_sensor()
+    before = Provenance(out).recorded_sensor()
     write_bin(mixed / "9.bin", leaning(9))
     assert predict_scans(mixed, out, settings=network).done == 1
-    assert Manifest(out).recorded_sensor() == before
+    assert Provenance(out).recorded_sensor() == before
     (later,) = (file for file in find_scans(mixed) if file.stem == "9")
     assert ResultFolder(out).read(later, before).sensor == before.others[0]
 
@@ -147,7 +148,7 @@ def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
     for number in range(40):
         write_bin(tmp_path / f"many/{number:02}.bin", (leaning if number == 1 else level)(number))
     outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
-    names = [name for name, _ in outcome.summary.findings["mixed-sensors"]]
+    names = [name for name, _ in outcome.summary.warnings.findings["mixed-sensors"]]
     assert names == ["many/01"]
 
 
@@ -202,7 +203,7 @@ def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, ca
     predict_range_images(tmp_path / "out", tmp_path / "auto", settings=network)
     assert caplog.text.count("such as mixed/") == 2
     assert "such as none" not in caplog.text
-    for member in Manifest(tmp_path / "out").recorded_sensor().members:
+    for member in Provenance(tmp_path / "out").recorded_sensor().members:
         single = replace(network, sensor=replace(member, others=(), traits=()))
         with pytest.raises(UsageError, match="sensors"):
             predict_range_images(tmp_path / "out", tmp_path / "single", settings=single)
@@ -228,7 +229,7 @@ def test_inspect_judges_scans_by_the_sensor_that_predict_fits(mixed, tmp_path, n
     out = tmp_path / "out"
     predicted = only_json(called("predict", mixed, out, "--engine", "torch", "--json"))
     inspected = only_json(called("inspect", mixed, "--json"))
-    recorded = Manifest(out).recorded_sensor()
+    recorded = Provenance(out).recorded_sensor()
     assert len(recorded.members) == 2
     for key in ("fov_up", "fov_down", "height", "width", "up"):
         assert inspected["sensor"].get(key) == predicted["sensor"].get(key)

@@ -27,7 +27,7 @@ from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)

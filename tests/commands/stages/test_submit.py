@@ -9,11 +9,11 @@ from meanwhile import require_kept
 from scans import make_scan, refused, write_bin
 
 from salsanext_cli import label_space, write_labels
-from salsanext_cli.commands.jobs.label_checks import ProblemKind
+from salsanext_cli.commands.jobs.submission_checks import ProblemKind
 from salsanext_cli.commands.stages import submit as module
 from salsanext_cli.commands.stages.submit import SCANS_OF_TEST, Submission, submit
 from salsanext_cli.core.errors import FormatError, LabelError, OutputError
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 
 SPACE = label_space()
 COUNTS = dict.fromkeys(SCANS_OF_TEST, 1) | {"11": 3, "21": 2}

@@ -19,7 +19,7 @@ from salsanext_cli.io.files.locks import locked
 from salsanext_cli.io.formats.kitti import read_bin
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 

@@ -35,7 +35,7 @@ from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_weights
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training import fit, learner
 from salsanext_cli.training.data import reading_progress
 from salsanext_cli.training.data.class_counts import class_weights

@@ -30,8 +30,8 @@ from salsanext_cli.io.files.json_files import write_json
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.runs.labelling.label_records import pre_labelled_scans
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.annotation.label_records import pre_labelled_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training import cross_validated_training
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe

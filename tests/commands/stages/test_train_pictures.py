@@ -15,8 +15,8 @@ from salsanext_cli.commands.jobs import epoch_files
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.train import train
 from salsanext_cli.core.errors import MissingDependency, OutputError
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 
@@ -86,7 +86,7 @@ def test_samples_are_the_labels_of_predict(world):
     settings = replace(world.network, fit=False, intensity="raw")
     predict_scans(world.data, world.out, settings=settings, extras=("pixel_labels",))
     network = settings.load()
-    sensor = Manifest(world.out).sensor()
+    sensor = Provenance(world.out).sensor()
     source = Source(files=find_scans(world.data), space=network.space, sensor=sensor)
     for file in source.files:
         sample = epoch_files.sample_labels(file, source, network.for_sensor(sensor))

@@ -26,9 +26,9 @@ from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.records.digest_files import with_files
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.scan_folders import scan_names
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_folders import scan_names
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 SPACE = label_space()
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
@@ -209,7 +209,7 @@ def test_the_scans_of_a_threshold_are_unknown_without_their_file(trained, caplog
     path.write_text(json.dumps(record))
     assert judged(trained).counts.threshold_scans == 0  # That scan is skipped.
     named = trained.out / record["settings"]["guarantee"]["digests"]
-    assert Manifest(trained.out).scans_of_threshold().digests == digests
+    assert Provenance(trained.out).scans_of_threshold().digests == digests
     named.unlink()
     caplog.clear()
     judged(trained)
@@ -238,12 +238,12 @@ def test_records_of_early_versions_stay_as_they_are_when_scans_are_added(trained
     record["settings"]["trained_on"] = joined
     digest_file(trained).unlink()
     path.write_text(json.dumps(record))
-    before = Manifest(trained.out).origins(["predict"])
+    before = Provenance(trained.out).origins(["predict"])
     expected = json.dumps(record["settings"], sort_keys=True)
     assert before["predict"] == hashlib.sha256(expected.encode()).hexdigest()[:12]
     predict(trained)
     assert json.loads(path.read_text())["settings"]["trained_on"] == joined
-    assert Manifest(trained.out).origins(["predict"]) == before
+    assert Provenance(trained.out).origins(["predict"]) == before
     assert judged(trained).counts.skipped_training_scans == 1
 
 

@@ -39,7 +39,7 @@ from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
 

@@ -33,9 +33,13 @@ from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import ERROR, ScanFile, find_scans, output_path
+from salsanext_cli.runs.results.folder_names import ERROR
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.training.tuning import error_training
 
 ALL = ScanSelection()
@@ -169,7 +173,7 @@ def test_labels_above_an_error_are_rejected(runs):
 def test_a_folder_has_one_limit_of_the_error(runs):
     with refused(OutputError, runs.rejecting / "predict.json"):
         predict_scans(runs.world.data, runs.rejecting, settings=runs.network, reject=0.4)
-    assert ResultFolder(runs.rejecting).provenance(ALL)["reject"] == 0.5
+    assert Provenance(runs.rejecting).recorded_settings(ALL, None)["reject"] == 0.5
 
 
 def test_rejected_points_do_not_count_in_the_scores_of_the_error(runs):
@@ -249,7 +253,9 @@ def test_another_temperature_leaves_the_errors_as_they_are(far_is_wrong, target,
         out = tmp_path / str(number)
         summary = predict_scans(world.data, out, settings=network, extras=(ERROR,)).summary
         # Without warnings, since flatter probabilities are of low confidence.
-        expected.append(expected_accuracy(summary.accuracy, summary.confidences, {}).accuracy)
+        expected.append(
+            expected_accuracy(summary.accuracy, summary.counts.confidences, {}).accuracy
+        )
         errors.append([np.load(path) for path in sorted(out.rglob("error/*.npy"))])
     for before, after in zip(*errors, strict=True):
         np.testing.assert_allclose(after, before, atol=2e-3)

@@ -35,14 +35,16 @@ from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.plain_data import plain
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
-from salsanext_cli.runs.fit.sensor_fit import as_typed
+from salsanext_cli.runs.fit.threshold_settings import setting_as_typed
 from salsanext_cli.runs.loop.run import Outcome
+from salsanext_cli.runs.results.folder_names import LEAST_CONFIDENCE
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import LEAST_CONFIDENCE, ScanFile, find_scans, output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.summary.scan_summary import NOT_COMPARED
-from salsanext_cli.runs.summary.threshold_scans import EARLY
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.summary.threshold_scans import EARLY, NOT_COMPARED
 from salsanext_cli.training.tuning.risk import ShareTable, held_out_sequences
 from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 
@@ -380,7 +382,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -
     ],
 )
 def test_settings_are_named_as_they_are_typed(name, value, typed) -> None:
-    assert as_typed(name, value) == typed
+    assert setting_as_typed(name, value) == typed
 
 
 def test_a_run_estimates_its_accuracy(world: World, tmp_path) -> None:

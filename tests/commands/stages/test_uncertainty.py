@@ -18,8 +18,8 @@ from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 KINDS = UncertaintyMethod().kinds
 NAN, INF = float("nan"), float("inf")
@@ -130,7 +130,7 @@ def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
     project_scans(world.data, world.out, sensor=SMALL)
     predict_range_images(world.out, world.out, settings=other)
     knn_refine_scans(world.out)
-    recorded = ResultFolder(world.out).provenance(ScanSelection())
+    recorded = Provenance(world.out).recorded_settings(ScanSelection(), None)
     assert recorded["weights"] == fingerprint(other.weights)
     with pytest.raises(OutputError) as caught:
         run(world)

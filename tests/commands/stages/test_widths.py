@@ -24,7 +24,7 @@ from salsanext_cli.runs.fit.range_images import projected_sensor
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.fit.sensor_fit import fit_scans
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 WIDE, NARROW, UNTRAINED = 128, 64, 96
 

@@ -32,7 +32,7 @@ from salsanext_cli.core.errors import MissingDependency
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
-from salsanext_cli.runs.labelling.scan_description import pixel_features
+from salsanext_cli.runs.annotation.scan_description import pixel_features
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,8 @@ from salsanext_cli.core.geometry.sensor_frame import ego_points, upright_rotatio
 from salsanext_cli.runs.fit import sensor_fit
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS, sample_of_files
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.selection import evenly_spaced
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 

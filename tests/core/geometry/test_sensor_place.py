@@ -16,7 +16,7 @@ from salsanext_cli.core.geometry.ground import find_ground
 from salsanext_cli.core.geometry.sensor_frame import in_sensor_frame
 from salsanext_cli.core.geometry.sensor_of_scan import sensor_of
 from salsanext_cli.core.geometry.sensor_place import find_place
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 SIDES = {"z up": np.eye(3), "z down": np.diag([1.0, -1, -1])}
 PLACES = [(2, -4, 0.5), (-16, 12, 3), (300, 400, 1)]

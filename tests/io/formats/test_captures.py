@@ -8,7 +8,7 @@ from captures import Sent, write_capture
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.formats.captures import HESAI, LIVOX, OUSTER, ROBOSENSE, VELODYNE, maker_of
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 def livox_packet(points: int = 96) -> bytes:

@@ -14,7 +14,7 @@ from salsanext_cli import read_scan, write_ply
 from salsanext_cli.core.checks.scan_checks import check_scan
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.formats.field_names import INTENSITY_NAMES, AxisFields, intensity_among
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 SCAN = make_scan(300)
 X, Y, Z = SCAN.points.T

@@ -10,7 +10,7 @@ from ouster_recordings import START, STEP, write_recording
 
 from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, NoInputError, SalsanextError
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 TIMES = [f"{START + n * STEP}" for n in range(4)]
 

@@ -11,7 +11,7 @@ from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, MissingDependency, UsageError
 from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.io.formats.captures import VELODYNE, maker_of
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 PACKET_DEG = 12 * 0.4
 

@@ -19,9 +19,9 @@ from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.measures.decision import Decision, Verdict
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.report.page.decision_command import decision_command
-from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -99,7 +99,7 @@ def test_scans_are_labelled_again_from_the_same_origin(drive, tmp_path):
             command = decision_command(run, Verdict(decision=decision, reason=""))
         words[decision] = shlex.split(command)
     called(*words[Decision.COARSE][1:])
-    origins = [Manifest(tmp_path / name).sensor().origin for name in ("out", "coarse")]
+    origins = [Provenance(tmp_path / name).sensor().origin for name in ("out", "coarse")]
     assert origins == [(0.5, 0, -0.25)] * 2
     # `pick` has no such option.
     called(*words[Decision.LABEL_TEN][1:])

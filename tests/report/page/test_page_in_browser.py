@@ -21,7 +21,7 @@ from salsanext_cli import read_labels, write_labels
 from salsanext_cli.commands.stages.report import report, view
 from salsanext_cli.core.geometry.objects import BOX
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)

@@ -6,7 +6,7 @@ from pathlib import Path
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.report.page.recorded_warnings import codes_by_scan, warnings_of_run
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 FEW = Finding("few-points", "12 points", "drive on")
 APART = Finding("apart", "two parts", "look")

@@ -17,7 +17,7 @@ from salsanext_cli.core.measures.expected_accuracy import ExpectedAccuracy
 from salsanext_cli.report.page.drive_data import drive_data
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.scan_row import PointErrors, ScanRow
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 SPACE = small_space("unlabeled", "car", "road")
 

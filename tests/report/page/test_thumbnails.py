@@ -14,7 +14,7 @@ from salsanext_cli import Scan
 from salsanext_cli.commands.stages.report import read_run
 from salsanext_cli.report.colours import EMPTY, screen_colours
 from salsanext_cli.report.page.thumbnails import PNG, SIZE_PX, thumbnail
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.query import ResultQuery
 
 COLOURS = screen_colours(SPACE)

@@ -8,8 +8,8 @@ from map_drives import WAY, drive
 from scans import SMALL
 
 from salsanext_cli.runs.drives.poses_of_sequence import points_of_drive, registered_drive
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.recorded_origins import recorded_origins
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 def test_the_poses_of_a_registered_drive_are_the_positions_of_its_sensor(map_drive):

@@ -10,7 +10,8 @@ from salsanext_cli import label_space
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.fusion.top_classes import STORED, top_classes
 from salsanext_cli.runs.drives.stored_softmax import stored_softmax
-from salsanext_cli.runs.results.paths import ScanFile, output_path
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 SPACE = label_space()
 FILE = ScanFile(sequence="08", stem="000000", path=Path("/drive/000000.bin"))

@@ -12,7 +12,7 @@ from salsanext_cli import Scan
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.fit.pose_files import poses_beside, position_in_file, readings_of
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 SCAN = Scan(np.ones((3, 3), np.float32), np.zeros(3, np.float32))
 

@@ -22,9 +22,9 @@ from salsanext_cli.runs.fit.pose_origins import (
     origins_by_poses,
 )
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.recorded_origins import recorded_origin
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 @pytest.mark.slow
@@ -39,9 +39,9 @@ def test_poses_in_the_frame_of_the_scans_are_their_origins(map_drive, tmp_path, 
     assert str(tmp_path / "poses.txt") in caplog.text
     results = ResultFolder(out)
     fitted = fit_network(network.load(), tmp_path / "velodyne").sensor
-    assert fitted.without_noise() == results.manifest.sensor()
+    assert fitted.without_noise() == results.provenance.sensor()
     for file, place in zip(results.scans(), WAY, strict=True):
-        assert recorded_origin(out, file, results.manifest.sensor()) == place
+        assert recorded_origin(out, file, results.provenance.sensor()) == place
     assert fuse_results(out).done == len(WAY)
     fused = np.loadtxt(next(out.glob("fused/sequences/*/poses.txt"))).reshape(-1, 3, 4)
     assert np.array_equal(fused[:, :, 3], np.array(WAY))

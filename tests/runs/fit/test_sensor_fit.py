@@ -1,27 +1,21 @@
 # SPDX-License-Identifier: MIT
 """The fit of a run is that of its scans, and what its settings allow."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scans import SMALL, make_scan, write_bin, write_weights
 from street_scans import moved, street
 
 from salsanext_cli import fit_network, load_network, read_scan
-from salsanext_cli.core.network.tuned_settings import KEY_OF
 from salsanext_cli.runs.fit.sensor_fit import (
-    as_typed,
     fit_settings,
     fitted_view,
-    labels_depend_on,
     network_of_run,
     settings_of_network,
 )
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.paths import find_scans
-from salsanext_cli.runs.sensor_request import requested_sensor
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 PLACE = (-90, 40, 3)
 
@@ -69,42 +63,6 @@ def test_a_sensor_that_is_stated_stays(sensor, narrow_file):
     assert settings.view is (sensor is not SMALL)
     assert settings.named == (SMALL if sensor is SMALL else None)
     assert not settings.is_width_named
-
-
-def test_labels_depend_on_what_is_requested_and_on_nothing_else(narrow_file):
-    settings = NetworkSettings(narrow_file, "cpu", engine="torch")
-    network = settings.load()
-    before = labels_depend_on(settings, network)
-    assert before.keys() <= {*KEY_OF.values()}
-    assert labels_depend_on(replace(settings, columns="x,y,z"), network) == before
-    for change in ({"min_range": 2.0}, {"ego": "none"}, {"width": 128}, {"intensity": "raw"}):
-        (name,) = change
-        after = labels_depend_on(replace(settings, **change), network)
-        differing = {
-            key for key in before.keys() | after.keys() if before.get(key) != after.get(key)
-        }
-        assert differing <= {KEY_OF[name]}, name
-
-
-@pytest.mark.parametrize("text", ["auto", "none", "-1,-1,-2,1,1,0.5"])
-def test_a_box_is_typed_as_it_is_read(text):
-    sensor = requested_sensor("auto", lambda: SMALL, ego=text, min_range=0.0)
-    assert as_typed("ego", sensor.ego_box) == text
-
-
-@pytest.mark.parametrize(
-    ("argument", "value", "text"),
-    [
-        ("min_range", 1.50, "1.5"),
-        ("min_range", None, "the default"),
-        ("intensity", None, "raw"),
-        ("intensity", "match", "match"),
-        ("precision", "int8", "int8"),
-        ("width", 512, "512"),
-    ],
-)
-def test_values_are_typed_for_their_arguments(argument, value, text):
-    assert as_typed(argument, value) == text
 
 
 def test_the_settings_of_a_network_name_its_weights_and_its_sensor(narrow_file):

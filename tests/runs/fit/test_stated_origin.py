@@ -12,8 +12,8 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.runs.fit.stated_origin import origin_in_frame
-from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 pytest.importorskip("laspy")
 SCAN = make_scan(1500)
@@ -57,7 +57,7 @@ def test_predict_labels_from_there_and_records_it(tmp_path, world):
     path = in_map(tmp_path / "map/a.las")
     out = tmp_path / "results"
     assert predict_scans(path.parent, out, settings=world.network, origin=POSITION).done == 1
-    sensor = Manifest(out).sensor()
+    sensor = Provenance(out).sensor()
     assert (sensor.origin, sensor.registered) == ((123.4, 456.7, 312), False)
     # As of the same points around their sensor
     write_las(tmp_path / "local/a.las", SCAN.points)

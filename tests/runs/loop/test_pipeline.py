@@ -14,7 +14,7 @@ from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.errors import FormatError, SalsanextError
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.pipeline import Pipeline
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 FILES = [
     ScanFile(sequence="00", stem=str(number), path=Path(f"{number}.bin")) for number in range(7)

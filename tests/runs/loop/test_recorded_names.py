@@ -10,9 +10,9 @@ from shallow import shallow, weights  # noqa: F401
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_folders import FILE_LISTS
+from salsanext_cli.runs.scans.scan_folders import FILE_LISTS
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 
 def rename_sequence(out, before, after):

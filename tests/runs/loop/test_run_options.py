@@ -20,7 +20,7 @@ from salsanext_cli.commands.line.values.shard_option import (
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.run_options import RunOptions, Shard
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 COUNTS = st.integers(1, 9)
 NAMES = st.sets(st.tuples(st.sampled_from(["00", "08", "a"]), st.integers(0, 99)), max_size=40)

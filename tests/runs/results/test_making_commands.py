@@ -24,9 +24,10 @@ from salsanext_cli.runs.results.making_commands import (
     MakingCommand,
     making_hint,
 )
-from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.merged_labels import hint_for_error
-from salsanext_cli.runs.results.paths import find_outputs, find_scans
+from salsanext_cli.runs.results.output_paths import find_outputs
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 PROBABILITIES = MakingCommand(stage="predict", extras=("probabilities",))
 
@@ -166,17 +167,17 @@ def test_a_hint_states_the_origin_as_it_was_typed(world, tmp_path):
     origin = "-0.5,0.25,0.125"
     network = ("--weights", world.network.weights, "--engine", "torch")
     called("predict", world.data, world.out, "--origin", origin, *network)
-    recorded = Manifest(world.out).sensor()
+    recorded = Provenance(world.out).sensor()
     assert recorded.origin == (-0.5, 0.25, 0.125)
     file = find_scans(world.data)[0]
     other = tmp_path / "other"
     called(*words_of(PREDICT, world.out, file, overwrite=True)[1:])
     called(*words_of(PREDICT, world.out, file, target=other)[1:])
     for out in (world.out, other):
-        assert Manifest(out).sensor() == recorded
+        assert Provenance(out).sensor() == recorded
     for path in world.out.rglob("*.label"):
         again = np.fromfile(other / path.relative_to(world.out), "<u4")
         assert np.array_equal(np.fromfile(path, "<u4"), again)
     # `uncertainty` takes the recorded sensor, and has no such option.
     called(*words_of(UNCERTAINTY_STAGE, world.out, file)[1:], "--samples", 2)
-    assert Manifest(world.out).sensor() == recorded
+    assert Provenance(world.out).sensor() == recorded

@@ -10,6 +10,7 @@ from scans import refused
 
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.provenance import Provenance
 
 
 def test_an_infinite_setting_is_recorded_as_text(tmp_path: Path) -> None:
@@ -46,9 +47,9 @@ def test_records_of_older_versions_are_read(tmp_path: Path) -> None:
     assert Manifest(tmp_path).settings("predict").guarantee.threshold == 0.2
     assert Manifest(tmp_path).record("predict").foreign == ("a.label",)
     (tmp_path / "predict.json").write_text(json.dumps(content))
-    origins = Manifest(tmp_path).origins(["predict"])
+    origins = Provenance(tmp_path).origins(["predict"])
     predict(tmp_path)
-    assert Manifest(tmp_path).origins(["predict"]) == origins
+    assert Provenance(tmp_path).origins(["predict"]) == origins
     assert Manifest(tmp_path).settings("predict") == TYPED
 
 
@@ -73,4 +74,4 @@ def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "predict.json").read_text())
     assert [*content] == ["stage", "version", "writes", "settings", "scans"]
     assert [*content["settings"]][-1] == "trained_on"
-    assert Manifest(tmp_path).trained_on().digests == {digest}
+    assert Provenance(tmp_path).trained_on().digests == {digest}

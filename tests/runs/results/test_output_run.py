@@ -33,7 +33,9 @@ from salsanext_cli.runs.records.stage_settings import (
 )
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_run import OutputRun, output_run
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.results.provenance import Provenance
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 LABELS = np.full(5, 10, np.uint32)
 
@@ -89,10 +91,10 @@ def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: list
     assert all(difference in caught.value.problem for difference in named)
     assert "overwrite=True" in caught.value.hint
     assert files_below(tmp_path) == before
-    first = Manifest(tmp_path).origins(["predict", "uncertainty"])
+    first = Provenance(tmp_path).origins(["predict", "uncertainty"])
     predict(tmp_path, other, overwrite=True)
     assert first.keys() == {"predict"}
-    assert Manifest(tmp_path).origins(["predict"]) != first
+    assert Provenance(tmp_path).origins(["predict"]) != first
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -171,7 +173,7 @@ def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    records, space, hdl32 = Manifest(tmp_path), label_space(), sensor("hdl32")
+    records, space, hdl32 = Provenance(tmp_path), label_space(), sensor("hdl32")
     assert (records.label_space(), records.sensor()) == (None, sensor("hdl64"))
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
     recorded = records.label_space()

@@ -13,7 +13,7 @@ from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.warning_codes import WarningCode
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.scan_folders import FILE_LISTS
+from salsanext_cli.runs.scans.scan_folders import FILE_LISTS
 
 
 @pytest.fixture

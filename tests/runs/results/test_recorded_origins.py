@@ -34,11 +34,13 @@ from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.runs.fit.scan_reading import read_prepared
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.folder_names import ORIGINS
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.paths import ORIGINS, find_scans, output_path
+from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.recorded_origins import recorded_origin
 from salsanext_cli.runs.results.result_folder import ResultFolder
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 DOWN = np.diag([1.0, -1, -1])
 
@@ -217,7 +219,7 @@ def test_pick_and_tune_see_scans_from_the_poses_that_predict_uses(map_drive, tmp
 
 def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
     results = ResultFolder(predicted_map)
-    sensor = results.manifest.sensor()
+    sensor = results.provenance.sensor()
     assert ORIGINS in results.manifest.record("predict").writes
     for file, place in zip(results.scans(), WAY, strict=True):
         array = np.load(output_path(predicted_map, file.sequence, ORIGINS, file.stem))
@@ -233,7 +235,7 @@ def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
 def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(predicted_map, out)
-    scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).manifest.sensor()
+    scan, sensor = ResultFolder(out).scans()[1], ResultFolder(out).provenance.sensor()
     before = ResultFolder(out).read(scan, sensor)
 
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")
@@ -253,7 +255,7 @@ def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path):
 def test_a_damaged_origin_is_refused(predicted_map, tmp_path, content):
     file, sensor = (
         ResultFolder(predicted_map).scans()[0],
-        ResultFolder(predicted_map).manifest.sensor(),
+        ResultFolder(predicted_map).provenance.sensor(),
     )
     path = output_path(tmp_path, file.sequence, ORIGINS, file.stem)
     path.parent.mkdir(parents=True)
@@ -299,7 +301,7 @@ def test_the_hint_about_a_damaged_origin_works(map_drive, predicted_map, tmp_pat
     content = path.read_bytes()
     path.write_bytes(b"damaged")
     with pytest.raises(FormatError) as caught:
-        recorded_origin(out, file, results.manifest.sensor())
+        recorded_origin(out, file, results.provenance.sensor())
     assert caught.value.hint == "delete it and run `salsanext predict` again, which writes it"
     path.unlink()
     network = NetworkSettings(map_drive / "w.safetensors", "cpu", engine="torch")

@@ -14,10 +14,10 @@ from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, Out
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.io.formats.ply import write_ply
-from salsanext_cli.runs.results.paths import find_scans
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import ScanResults, scalar_columns
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 def ask(world, scans):

@@ -25,9 +25,11 @@ from salsanext_cli.core.measures.population import population_difference, unit_t
 from salsanext_cli.core.network.card import AccuracyLine, RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary import threshold_scans
-from salsanext_cli.runs.summary.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.runs.summary.run_summary import RunSummary
+from salsanext_cli.runs.summary.run_warnings import RunWarnings
+from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 SPACE = label_space()
 FILE = ScanFile(sequence="08", stem="000000", path=Path("000000.bin"))
@@ -41,11 +43,11 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
         labels = np.array(train_ids, np.uint8)
         summary.add(ScanSummary.from_labels(FILE, labels, SPACE))
     counts = Counter(SPACE.names[i] for train_ids in scans for i in train_ids)
-    largest = summary.largest_classes()
+    largest = summary.counts.largest_classes(summary.space)
     assert all(share == counts[name] / counts.total() for name, share in largest.items())
     total, unlabelled = counts.total(), counts.pop(SPACE.names[0], 0)
     assert list(largest.values()) == [count / total for _, count in counts.most_common(5)]
-    assert summary.unlabelled_share == unlabelled / max(total, 1)
+    assert summary.counts.unlabelled_share == unlabelled / max(total, 1)
 
 
 def codes_of(labels, space=SPACE, **options):
@@ -68,12 +70,12 @@ def test_hints_about_labels_name_the_folder_of_the_run(caplog):
         (None, LABELS_HINT),
         (Path("my out"), f"{LABELS_HINT}: `salsanext report 'my out'`"),
     ):
-        summary = RunSummary(sensor=SMALL, space=SPACE, out=out)
-        summary.add_finding(FILE.name, finding)
-        assert [warning.hint for warning in summary.warnings()] == [hint]
+        summary = RunSummary(sensor=SMALL, space=SPACE, warnings=RunWarnings(out=out))
+        summary.warnings.add(FILE.name, finding)
+        assert [warning.hint for warning in summary.warnings.by_code()] == [hint]
         assert caplog.messages[-1].endswith(f"hint: {hint}")
         # The folder may be moved, so it is not recorded.
-        assert summary.findings["one-class"] == [(FILE.name, finding)]
+        assert summary.warnings.findings["one-class"] == [(FILE.name, finding)]
 
 
 def test_rejected_labels_do_not_make_one_class_large():
@@ -119,7 +121,7 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     summary = RunSummary(sensor=SMALL)
     for place in order:
         summary.add(scans[place])
-    height, tilted = summary.warnings()
+    height, tilted = summary.warnings.by_code()
     assert (height.message, height.scans) == ("height of 2", ["08/2", "08/5"])
     assert (tilted.message, tilted.scans) == ("tilted of 1", ["08/1", "08/2", "08/4", "08/5"])
 
@@ -237,7 +239,7 @@ def test_a_finished_run_warns_of_mixed_sensors(caplog):
     ):
         summary.add(ScanSummary(file=file, check=ScanCheck(findings=(), traits=of_scan)))
     assert not caplog.messages
-    (warning,) = summary.finished().warnings()
+    (warning,) = summary.finished().warnings.by_code()
     assert (warning.code, warning.scans) == ("mixed-sensors", ["08/000004"])
     assert "such as 08/000000" in caplog.text
 
@@ -259,7 +261,7 @@ def test_the_share_of_the_vehicle_is_one_of_points():
         labels = np.ones(count, np.uint8)
         check = ScanCheck(points=count, ego_points=ego)
         summary.add(ScanSummary.from_labels(replace(FILE, stem=name), labels, SPACE, check))
-    assert summary.ego_share == pytest.approx(0.05)
+    assert summary.counts.ego_share == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("most", [3, 5])
@@ -294,10 +296,10 @@ def test_findings_of_two_steps_are_those_of_both():
             check = ScanCheck(findings=findings)
             summary.add(ScanSummary(file=file, check=check, confidence=0.8))
     fused.add_sequence("08", [Finding("apart", "2 parts", LABELS_HINT)])
-    predicted.add_findings_of(fused)
-    apart, one_class = predicted.warnings()
+    predicted.warnings.add_others(fused.warnings)
+    apart, one_class = predicted.warnings.by_code()
     assert (apart.code, apart.scans) == ("apart", ["08"])
     assert one_class.scans == ["08/a", "08/b", "08/c"]
     estimate = predicted.expected_accuracy()
     assert (estimate.scans, estimate.withheld) == (1, {"one-class": 3})
-    assert [len(findings) for findings in fused.findings.values()] == [2, 1]
+    assert [len(findings) for findings in fused.warnings.findings.values()] == [2, 1]

@@ -14,7 +14,7 @@ from salsanext_cli.core.geometry.scan_measures import MEASURES
 from salsanext_cli.core.network.card import RiskThreshold
 from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.core.sensors.sensor import FittedView
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary import threshold_scans
 from salsanext_cli.runs.summary.threshold_scans import (
     EARLY,

@@ -16,7 +16,8 @@ from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.core.wording import argument, spelled
 from salsanext_cli.io.formats.kitti import read_bin
 from salsanext_cli.io.formats.kitti_labels import read_labels
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import Sample, SampleKey, Samples, SamplingPlan, batches
 from salsanext_cli.training.data.sources import Source, read_labelled

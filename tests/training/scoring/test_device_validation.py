@@ -17,7 +17,7 @@ from waiting import META, WaitsRefused
 from salsanext_cli import load_network
 from salsanext_cli.core.engines.device_copies import HostCopies
 from salsanext_cli.runs.loop.network_task import network_pipeline
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.scoring import device_validation, validated_scan, validation
 from salsanext_cli.training.scoring.device_validation import sampled_points

@@ -11,7 +11,7 @@ from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, knn_refine, load_network, project, read_labels, read_scan
 from salsanext_cli.core.measures.scores import scores
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.scoring.validation import validate
 

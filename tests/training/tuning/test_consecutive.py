@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.tuning.consecutive import consecutive_warning, stretches
 
 PAGE = Path(__file__).parents[3] / "docs/reference/warnings.md"

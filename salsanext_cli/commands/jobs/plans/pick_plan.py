@@ -10,9 +10,11 @@ from salsanext_cli.commands.jobs.plans.run_plan import RunPlan, bytes_of_results
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.uncertainty.error_features import knows_error
 from salsanext_cli.io.files.reading import filled
-from salsanext_cli.runs.labelling.picked_data_set import PREDICTED, PickRecord
+from salsanext_cli.runs.annotation.picked_data_set import PREDICTED, PickRecord
 from salsanext_cli.runs.loop.run_options import Shard
-from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE, ScanFile, output_path
+from salsanext_cli.runs.results.folder_names import ERROR, LEAST_CONFIDENCE
+from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 POINT_BYTES = 16 + 4 + 27
 """Bytes of a point in `.bin`, `.label` and coloured `.ply`."""

@@ -20,10 +20,10 @@ from salsanext_cli.runs.loop.recorded_names import with_recorded_names
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
-from salsanext_cli.runs.results.paths import ERROR, LEAST_CONFIDENCE
+from salsanext_cli.runs.results.folder_names import ERROR, LEAST_CONFIDENCE
 from salsanext_cli.runs.results.recorded_origins import folders_of_origins
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, scans_of, space_of
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import choose, scans_of, space_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

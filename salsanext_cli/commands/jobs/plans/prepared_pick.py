@@ -12,22 +12,23 @@ from salsanext_cli.core.errors import NoInputError, UsageError
 from salsanext_cli.core.measures.scan_choice import require_choice
 from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.core.wording import argument
-from salsanext_cli.runs.fit.scan_sample import sample_of_files
-from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
-from salsanext_cli.runs.labelling.picked_data_set import (
+from salsanext_cli.runs.annotation.picked_data_set import (
     CHOSEN,
     NAMED,
     PickedDataSet,
     PickRecord,
     PickSettings,
 )
+from salsanext_cli.runs.fit.scan_sample import sample_of_files
+from salsanext_cli.runs.fit.sensor_fit import fit_scans, settings_of_network
 from salsanext_cli.runs.loop.run_origins import OriginsOfSource
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
-from salsanext_cli.runs.results.named_scans import named_scans, read_names
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.results.selection import choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.runs.scans.named_scans import named_scans, read_names
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.selection import choose, evenly_spaced, scans_of, space_of
 
 SAMPLES = 8  # Passes of Monte-Carlo dropout, with the same masks for all scans
 

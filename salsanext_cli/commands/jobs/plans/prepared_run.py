@@ -10,7 +10,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.runs.loop.run_origins import OriginsOfRun
 from salsanext_cli.runs.records.stage_settings import StageSettings
 from salsanext_cli.runs.results.output_run import OutputRun, foreseen_run, output_run
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

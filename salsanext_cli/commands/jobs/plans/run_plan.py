@@ -10,8 +10,9 @@ from salsanext_cli.commands.jobs.plans.prepared_run import PreparedNetworkRun
 from salsanext_cli.core.sensors.sensor import NOISE, Sensor
 from salsanext_cli.runs.fit.scan_sample import sample_of_files
 from salsanext_cli.runs.loop.run_options import Shard
-from salsanext_cli.runs.results.paths import ORIGINS, ScanFile
-from salsanext_cli.runs.results.selection import MissingResults
+from salsanext_cli.runs.results.folder_names import ORIGINS
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import MissingResults
 
 NPY_HEADER_BYTES = 128
 

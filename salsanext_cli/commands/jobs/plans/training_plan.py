@@ -11,7 +11,7 @@ from salsanext_cli.core.sensors.sensor import NOISE, Sensor
 from salsanext_cli.core.texts import counted, first_few
 from salsanext_cli.io.weights.weights import encode_weights
 from salsanext_cli.runs.fit.scan_sample import MAX_SCANS
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.checkpoint import finished_epochs
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.data.class_counts import count_classes, require_scored

@@ -40,7 +40,7 @@ def fuse(
     Example: salsanext fuse out/
     """
     from salsanext_cli.commands.stages.fuse import fuse_results, plan_fusion
-    from salsanext_cli.runs.results.paths import FUSED
+    from salsanext_cli.runs.results.folder_names import FUSED
 
     target = target or out / FUSED
     if dry_run:

@@ -11,7 +11,7 @@ from salsanext_cli.commands.line.output.progress import over_scans
 from salsanext_cli.commands.line.values.scans_and_out import scan_source
 from salsanext_cli.commands.line.values.typed_values import typed_position
 from salsanext_cli.runs.results.query import named_label_space
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO, with_names
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.notices import demote_reader_notices
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.results.query import named_label_space
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import with_names
 
 
@@ -40,12 +40,12 @@ def knn_refine(
     Example: salsanext knn-refine out/
     """
     from salsanext_cli.commands.stages.knn_refine import knn_refine_scans, plan_refinement
-    from salsanext_cli.runs.results.manifest import Manifest
+    from salsanext_cli.runs.results.provenance import Provenance
 
     space = named_label_space(label_space)
     scan_sensor = typed_sensor(sensor)
     if columns is not None:
-        scan_sensor = with_names(scan_sensor or Manifest(out).sensor(), columns)
+        scan_sensor = with_names(scan_sensor or Provenance(out).sensor(), columns)
     if dry_run:
         with demote_reader_notices():
             plan = plan_refinement(

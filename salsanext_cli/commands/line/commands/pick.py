@@ -15,7 +15,7 @@ from salsanext_cli.commands.line.values.scans_and_out import in_topic
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.notices import demote_result_notices
 from salsanext_cli.core.texts import counted
-from salsanext_cli.runs.results.scan_selection import PICKED_SCANS, ScanSelection
+from salsanext_cli.runs.scans.scan_selection import PICKED_SCANS, ScanSelection
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.picked_labels import PickedLabels
@@ -56,9 +56,9 @@ def pick(
     from salsanext_cli.commands.picked_labels import label_picked_scans
     from salsanext_cli.commands.stages.pick import pick as stage
     from salsanext_cli.commands.stages.pick import plan_pick
-    from salsanext_cli.io.labelling_tools.registry import tool_named
+    from salsanext_cli.io.annotation_tools.registry import tool_named
     from salsanext_cli.report.picked import picked_table
-    from salsanext_cli.runs.results.layouts import TOOL_FOLDER
+    from salsanext_cli.runs.scans.layouts import TOOL_FOLDER
 
     if names and count is not None:
         raise UsageError("--count", "chooses scans, and so does --from", "one of both")

@@ -24,7 +24,7 @@ from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.runs.sensor_request import AUTO
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def predict(
         predict_scans,
     )
     from salsanext_cli.runs.fit.range_images import projected_sensor
-    from salsanext_cli.runs.results.paths import FUSED
+    from salsanext_cli.runs.results.folder_names import FUSED
 
     places = scans_and_out(context, scans, out, dataset, topic)
     source = places.scans
@@ -198,7 +198,7 @@ def _numbers(
     if outcome.rejected_points is not None:
         data["rejected_points"] = outcome.rejected_points
         if outcome.summary:
-            data["rejected_share"] = round(outcome.summary.rejected_share, 4)
+            data["rejected_share"] = round(outcome.summary.counts.rejected_share, 4)
         lines.append(_rejection_line(outcome, outcome.rejected_points, threshold))
     if advice:
         lines.append(advice)
@@ -208,8 +208,8 @@ def _numbers(
 def _rejection_line(outcome: "PredictOutcome", rejected: int, threshold: float | str | None) -> str:
     """Return the line about rejected points; `threshold` as of `_numbers`."""
     share = ""
-    if outcome.summary and outcome.summary.judged_points:
-        share = f" ({percentage(outcome.summary.rejected_share)} of the points with a label)"
+    if outcome.summary and outcome.summary.counts.judged_points:
+        share = f" ({percentage(outcome.summary.counts.rejected_share)} of the points with a label)"
     reason = "above the threshold of `tune risk`"
     if threshold != "risk":
         reason = f"probability of error above {threshold:g}"
@@ -251,7 +251,7 @@ def _with_fusion(
         fused = fuse_results(out, target, query=ResultQuery(selection=selection), options=options)
     output.print(f"fuse: {counted(fused.done, 'scan')} → {target}")
     if prediction.summary is not None and fused.summary is not None:
-        prediction.summary.add_findings_of(fused.summary)
+        prediction.summary.warnings.add_others(fused.summary.warnings)
     failures = dict.fromkeys((*prediction.failures, *fused.failures))
     return replace(prediction, failures=tuple(failures))
 

@@ -16,7 +16,7 @@ from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
 from salsanext_cli.core.notices import demote_result_notices
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 UNUSED_SETTINGS = ("device", "precision", "engine", "intensity")
 """Fields of `NetworkSettings` that range images do not depend on."""

@@ -23,7 +23,7 @@ from salsanext_cli.commands.line.output.progress import writing
 from salsanext_cli.commands.line.values.typed_values import typed_share
 from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.runs.network_settings import NetworkSettings
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 @option_group

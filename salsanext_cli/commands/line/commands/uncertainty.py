@@ -17,7 +17,7 @@ from salsanext_cli.commands.line.values.scans_and_out import scans_and_out
 from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.core.notices import demote_result_notices
 from salsanext_cli.runs.loop.run_options import RunOptions
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 def uncertainty(

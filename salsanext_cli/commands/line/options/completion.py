@@ -19,7 +19,7 @@ def _sensors() -> Iterable[str]:
 
 def _colours() -> Iterable[str]:
     """Return the values of the points by which clouds are coloured."""
-    from salsanext_cli.runs.results.paths import COLOURS
+    from salsanext_cli.runs.results.folder_names import COLOURS
 
     return COLOURS
 

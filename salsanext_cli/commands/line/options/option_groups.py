@@ -19,7 +19,7 @@ from salsanext_cli.core.geometry.knn_parameters import KnnParameters
 from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.query import ResultQuery, named_label_space
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 TITLES = " and ".join(library.title for library in LIBRARIES.values())
 """Libraries that compute, the fastest first."""

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from salsanext_cli.core.measures.label_gains import gains_of_trials
-from salsanext_cli.runs.results.layouts import TOOL_FOLDER
+from salsanext_cli.runs.scans.layouts import TOOL_FOLDER
 
 if TYPE_CHECKING:
     from salsanext_cli.commands.picked_labels import PickedLabels
     from salsanext_cli.commands.stages.pick import Picking
-    from salsanext_cli.io.labelling_tools.tool import LabellingTool
-    from salsanext_cli.runs.labelling.picked_data_set import UncertaintyScale
+    from salsanext_cli.io.annotation_tools.tool import AnnotationTool
+    from salsanext_cli.runs.annotation.picked_data_set import UncertaintyScale
 
 
 def lines_after_pick(
@@ -25,7 +25,7 @@ def lines_after_pick(
     labels: PickedLabels,
     weights: Path | str | None,
     labelled: Sequence[Path],
-    tool: LabellingTool | None = None,
+    tool: AnnotationTool | None = None,
 ) -> Iterator[str]:
     """Yield the lines about picked scans in a data set.
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from salsanext_cli.runs.loop.run import Outcome
-    from salsanext_cli.runs.summary.scan_summary import RunSummary
+    from salsanext_cli.runs.summary.run_summary import RunSummary
 
 
 def next_command(
@@ -70,6 +70,6 @@ def command_on_labels(outcome: Outcome, out: Path, split: str | None) -> str | N
 
 def _has_classes_of_benchmark(summary: RunSummary) -> bool:
     """Return whether the labels of a run have the classes of the benchmark, none of them merged."""
-    from salsanext_cli.runs.results.selection import unmerged
+    from salsanext_cli.runs.scans.selection import unmerged
 
     return summary.space is not None and not unmerged(summary.space, summary.scans[:1])

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from salsanext_cli.runs.loop.run import Failure, Outcome
-    from salsanext_cli.runs.results.selection import MissingResults
-    from salsanext_cli.runs.summary.scan_summary import RunSummary
+    from salsanext_cli.runs.scans.selection import MissingResults
+    from salsanext_cli.runs.summary.run_summary import RunSummary
 
 LEAST_SHARE = 0.0005  # Least share that a line states; it is rounded to 0.1 %
 
@@ -78,7 +78,7 @@ def print_summary_and_exit(
             output.print(line)
         if following is not None:
             output.print(f"next: {following}")
-    is_doubtful = outcome.summary is not None and bool(outcome.summary.findings)
+    is_doubtful = outcome.summary is not None and bool(outcome.summary.warnings.findings)
     exit_with_status(outcome.failures, outcome.missing, failed=strict and is_doubtful)
 
 
@@ -117,12 +117,12 @@ def scans_data(summary: RunSummary, *, has_results: bool) -> dict[str, Any]:
     return {
         "folders": {scan.sequence: str(scan.path.parent) for scan in summary.scans},
         "sensor": summary.sensor.to_dict(NOISE) if has_results else None,
-        "unlabelled_share": round(summary.unlabelled_share, 4),
-        "unmeasured_share": round(summary.unmeasured_share, 4),
-        "largest_classes": summary.largest_classes(),
-        "ego_share": round(summary.ego_share, 4),
+        "unlabelled_share": round(summary.counts.unlabelled_share, 4),
+        "unmeasured_share": round(summary.counts.unmeasured_share, 4),
+        "largest_classes": summary.counts.largest_classes(summary.space),
+        "ego_share": round(summary.counts.ego_share, 4),
         "expected_accuracy": None if expected is None else asdict(expected),
-        "warnings": plain(summary.warnings()),
+        "warnings": plain(summary.warnings.by_code()),
     }
 
 
@@ -136,14 +136,15 @@ def _lines_on_scans(summary: RunSummary | None) -> Iterator[str]:
     images = [image_text(member, summary.trained) for member in sensor.members]
     for image in dict.fromkeys(images):
         yield f"image: {image}"
-    if summary.unlabelled_share >= LEAST_SHARE:
+    unlabelled = summary.counts.unlabelled_share
+    if unlabelled >= LEAST_SHARE:
         causes = "; ".join(_causes_of_unlabelled(summary, ego_text(sensor)))
         in_brackets = f" ({causes})" if causes else ""
-        yield f"unlabelled: {percentage(summary.unlabelled_share)} of all points{in_brackets}"
+        yield f"unlabelled: {percentage(unlabelled)} of all points{in_brackets}"
     expected = summary.expected_accuracy()
     if expected:
         yield expected.text
-    largest = summary.largest_classes()
+    largest = summary.counts.largest_classes(summary.space)
     if largest:
         shares = ", ".join(f"{name} {percentage(share)}" for name, share in largest.items())
         yield f"largest classes: {shares}"
@@ -154,13 +155,13 @@ def _causes_of_unlabelled(summary: RunSummary, vehicle: str) -> Iterator[str]:
 
     `vehicle`: text about the region of the vehicle, for scans of one sensor.
     """
-    if summary.unmeasured_share >= LEAST_SHARE:
-        yield f"{percentage(summary.unmeasured_share)} without a measurement"
-    if summary.ego_share >= LEAST_SHARE:
+    if summary.counts.unmeasured_share >= LEAST_SHARE:
+        yield f"{percentage(summary.counts.unmeasured_share)} without a measurement"
+    if summary.counts.ego_share >= LEAST_SHARE:
         region = "" if summary.sensor.others else f", {vehicle}"
-        yield f"{percentage(summary.ego_share)} on the sensor's housing and vehicle{region}"
-    if summary.rejected_share_of_all >= LEAST_SHARE:
-        yield f"{percentage(summary.rejected_share_of_all)} rejected"
+        yield f"{percentage(summary.counts.ego_share)} on the sensor's housing and vehicle{region}"
+    if summary.counts.rejected_share_of_all >= LEAST_SHARE:
+        yield f"{percentage(summary.counts.rejected_share_of_all)} rejected"
 
 
 def print_failures(failures: tuple[Failure, ...]) -> None:

@@ -55,7 +55,7 @@ def scans_and_out(
     OutputError
         If the results would hide scans that lie in OUT.
     """
-    from salsanext_cli.runs.results.paths import require_no_hidden_scans
+    from salsanext_cli.runs.scans.scan_search import require_no_hidden_scans
 
     paths = _typed_paths(context, scans, out)
     sources = paths[:-1]
@@ -85,7 +85,7 @@ def _typed_paths(context: typer.Context, scans: Path | None, out: Path) -> list[
 def _require_folder(out: Path) -> None:
     """Refuse a file, or a list of scans, as OUT."""
     from salsanext_cli.io.files.reading import is_folder, present
-    from salsanext_cli.runs.results.scan_list import list_of
+    from salsanext_cli.runs.scans.scan_list import list_of
 
     file_of_list = list_of(out)
     if file_of_list is not None and present(file_of_list):

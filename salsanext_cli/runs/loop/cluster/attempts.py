@@ -52,7 +52,7 @@ from salsanext_cli.runs.loop.network_task import NetworkTask
 from salsanext_cli.runs.loop.pool import MAX_CHUNK_SCANS, WorkerProcess, chunks
 from salsanext_cli.runs.loop.run_folders import RunFolders
 from salsanext_cli.runs.loop.run_options import RunOptions
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 ADDRESS = re.compile(r"auto|(?P<client>ray://)?(?P<host>[^\s/:]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
 ADDRESS_VARIABLE = "RAY_ADDRESS"  # Of Ray

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 from salsanext_cli.runs.loop.pool import Chunk
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 MAX_LOSSES = 2
 """Lost workers that had only one scan after which that scan fails."""

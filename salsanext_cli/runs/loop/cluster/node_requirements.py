@@ -22,7 +22,7 @@ from salsanext_cli.runs.loop.cluster.node_code import (
     installed_versions,
 )
 from salsanext_cli.runs.loop.run_folders import RunFolders
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 PROBE_BYTES = 16
 RENEWAL_INTERVAL_S = 3600.0

@@ -10,7 +10,7 @@ import torch
 
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.runs.results.selection import evenly_spaced
+from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT, host_reserve
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.memory import memory_of

@@ -13,7 +13,7 @@ import torch
 from salsanext_cli.core.classes.label_space import TrainIds
 from salsanext_cli.core.engines.device_copies import pinned_array
 from salsanext_cli.core.records import MAX_INTENSITY, Mask, Scan
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
 from salsanext_cli.training.data.on_device.scan_memory import ScanMemory, require_host_room
 from salsanext_cli.training.data.reading_progress import with_progress

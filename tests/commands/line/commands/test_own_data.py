@@ -23,10 +23,10 @@ from salsanext_cli.commands.picked_labels import PickedLabels
 from salsanext_cli.commands.stages import submit as stage
 from salsanext_cli.commands.stages.pick import Picking
 from salsanext_cli.commands.stages.predict import predict_scans
-from salsanext_cli.io.labelling_tools.registry import TOOLS
-from salsanext_cli.runs.labelling.picked_data_set import PickedScan, UncertaintyScale
+from salsanext_cli.io.annotation_tools.registry import TOOLS
+from salsanext_cli.runs.annotation.picked_data_set import PickedScan, UncertaintyScale
 from salsanext_cli.runs.loop.run import Outcome
-from salsanext_cli.runs.results.paths import output_path
+from salsanext_cli.runs.results.output_paths import output_path
 
 
 def test_a_topic_of_a_recording_is_named(run, tmp_path):

@@ -23,7 +23,7 @@ from salsanext_cli.io.formats import SCAN_SUFFIXES
 from salsanext_cli.io.formats.recording_kinds import RECORDING_KINDS, RECORDING_SUFFIXES
 from salsanext_cli.io.weights.card_file import default_weights
 from salsanext_cli.runs.network_settings import NetworkSettings, weights_file
-from salsanext_cli.runs.results.scan_selection import ScanSelection
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 
 def test_a_group_is_expanded_filled_and_handed_over():

@@ -27,9 +27,11 @@ from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.records.stage_settings import PredictSettings
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord, settings_json
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
-from salsanext_cli.runs.results.scan_selection import ScanSelection
-from salsanext_cli.runs.summary.scan_summary import RunSummary
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+from salsanext_cli.runs.summary.run_counts import RunCounts
+from salsanext_cli.runs.summary.run_summary import RunSummary
 
 
 @pytest.mark.parametrize(
@@ -88,9 +90,11 @@ def outcome_of(summary=None, done=1, skipped=0):
 
 def test_rejected_points_are_counted():
     summary = RunSummary(
-        sensor=SMALL, space=label_space(), class_points=np.array([1500, 500] + [0] * 18)
+        sensor=SMALL,
+        space=label_space(),
+        counts=RunCounts(class_points=np.array([1500, 500] + [0] * 18)),
     )
-    summary.judged_points, summary.rejected_points = 1600, 1200
+    summary.counts.judged_points, summary.counts.rejected_points = 1600, 1200
     outcome = PredictOutcome.from_run(outcome_of(summary, skipped=2), rejected_points=1200)
     numbers = _numbers(outcome, 0.5, "faster: …")
     reason = "probability of error above 0.5; 2 done already not counted"
@@ -284,9 +288,9 @@ def test_equal_failures_of_many_scans_are_one_line_with_their_number(capsys):
 
 def test_the_line_of_unlabelled_points_states_their_causes():
     points = np.array([60, 40] + [0] * 18)
-    summary = RunSummary(sensor=SMALL, space=label_space(), class_points=points)
-    summary.unmeasured_points, summary.rejected_points = 30, 20
-    summary.ego_points, summary.checked_points = 10, 100
+    summary = RunSummary(sensor=SMALL, space=label_space(), counts=RunCounts(class_points=points))
+    summary.counts.unmeasured_points, summary.counts.rejected_points = 30, 20
+    summary.counts.ego_points, summary.counts.checked_points = 10, 100
     (line,) = (line for line in _lines_on_scans(summary) if line.startswith("unlabelled: "))
     assert line.startswith("unlabelled: 60.0 % of all points (30.0 % without a measurement; ")
     assert "; 10.0 % on " in line
@@ -297,12 +301,12 @@ def test_the_line_of_unlabelled_points_states_their_causes():
 def test_warnings_of_fused_labels_join_those_of_single_scans(tmp_path, monkeypatch):
     predicted, fused = (RunSummary(sensor=SMALL, space=label_space()) for _ in range(2))
     for summary, stem in ((predicted, "a"), (fused, "b")):
-        summary.add_finding(f"08/{stem}", Finding("one-class", f"{stem} is road", LABELS_HINT))
+        summary.warnings.add(f"08/{stem}", Finding("one-class", f"{stem} is road", LABELS_HINT))
     stage = "salsanext_cli.commands.stages.fuse.fuse_results"
     monkeypatch.setattr(stage, lambda *_, **__: outcome_of(fused))
     outcome = PredictOutcome.from_run(outcome_of(predicted))
     output = SimpleNamespace(print=print, quiet=True)
     target = tmp_path / "fused"
     both = _with_fusion(outcome, tmp_path, target, ScanSelection(), RunOptions(), output)
-    (warning,) = both.summary.warnings()
+    (warning,) = both.summary.warnings.by_code()
     assert (warning.message, warning.scans) == ("a is road", ["08/a", "08/b"])

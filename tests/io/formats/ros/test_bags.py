@@ -29,7 +29,7 @@ from salsanext_cli import read_scan
 from salsanext_cli.core.errors import FormatError, MissingDependency, NoInputError, UsageError
 from salsanext_cli.core.optional_packages import extra_command
 from salsanext_cli.io.formats.ros.cloud_messages import default_types
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]

@@ -8,7 +8,7 @@ from scans import refused
 
 from salsanext_cli.core.errors import FormatError, NoInputError
 from salsanext_cli.io.formats.ros.mcap import require_ros2
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 pytest.importorskip("rosbags")
 

@@ -17,7 +17,7 @@ from salsanext_cli.io.frames import read_frames
 from salsanext_cli.io.poses import pose_readings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 
 pye57 = pytest.importorskip("pye57")
 SCANS = [make_scan(400, seed) for seed in range(3)]

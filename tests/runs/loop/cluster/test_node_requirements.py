@@ -12,7 +12,7 @@ from salsanext_cli.runs.loop.cluster import node_requirements as node_requiremen
 from salsanext_cli.runs.loop.cluster.node_code import node_problem
 from salsanext_cli.runs.loop.cluster.node_requirements import node_requirements, probe_of
 from salsanext_cli.runs.loop.run_folders import RunFolders
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
 @pytest.fixture

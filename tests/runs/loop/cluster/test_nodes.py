@@ -19,7 +19,7 @@ from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.cluster.attempts import attempts_of_cluster
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_folders import RunFolders
-from salsanext_cli.runs.results.paths import ScanFile
+from salsanext_cli.runs.scans.scan_file import ScanFile
 
 pytestmark = pytest.mark.slow
 TESTS = Path(__file__).parents[3]

@@ -16,7 +16,8 @@ from waiting import META, WaitsRefused
 from salsanext_cli import Scan, label_space
 from salsanext_cli import sensor as named_sensor
 from salsanext_cli.core.sensors.sensor import Sensor
-from salsanext_cli.runs.results.paths import ScanFile, find_scans
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.data.on_device import batch_maker
 from salsanext_cli.training.data.on_device.batch_random import BatchRandom

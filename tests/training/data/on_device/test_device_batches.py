@@ -11,7 +11,7 @@ from stored import CPU
 
 from salsanext_cli import label_space
 from salsanext_cli.core.errors import TrainingError
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.dataset import Batch, SampleKey, Samples
 from salsanext_cli.training.data.on_device.batch_maker import BatchMaker
 from salsanext_cli.training.data.on_device.device_batches import DeviceBatches, share_of

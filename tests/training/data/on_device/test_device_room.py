@@ -10,7 +10,7 @@ from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.on_device import device_room
 from salsanext_cli.training.data.on_device.device_room import DeviceRoom, bytes_of_scans
 from salsanext_cli.training.data.sources import Source

@@ -12,7 +12,7 @@ from stored import CPU
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.core.errors import SalsanextError, TrainingError
-from salsanext_cli.runs.results.paths import find_scans
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.on_device import scan_memory
 from salsanext_cli.training.data.on_device.point_batch import StoredScan
 from salsanext_cli.training.data.on_device.scan_memory import (

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Scans of a source: their files, their search, and the selection among them."""
