@@ -170,6 +170,12 @@ def test_a_higher_point_hides_a_lower_one(spread):
     assert not (picture == GREEN).all(axis=-1).any()
 
 
+def test_pixels_are_means_of_blocks_of_pixels():
+    large = np.random.default_rng(0).integers(0, 256, (12, 8, 3)).astype(np.uint8)
+    means = large.reshape(6, 2, 4, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_array_equal(scan_pictures.averaged(large), means.round())
+
+
 def test_a_large_scan_is_drawn_in_parts(monkeypatch):
     rng = np.random.default_rng(1)
     points = rng.uniform(-10, 10, (500, 3))
