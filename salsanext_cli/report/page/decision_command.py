@@ -8,13 +8,13 @@ from pathlib import Path
 from salsanext_cli.core.measures.decision import Decision, Verdict
 from salsanext_cli.core.wording import setting
 from salsanext_cli.report.page.run_results import RunResults
-from salsanext_cli.runs.results.making_commands import UNKNOWN_SCANS
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.repeated_settings import (
     SETTINGS_OF_LABELS,
     path_as_typed,
     settings_of_network,
 )
+from salsanext_cli.runs.results.scan_arguments import UNKNOWN_SCANS
 from salsanext_cli.runs.scans.selection import data_set_of
 
 

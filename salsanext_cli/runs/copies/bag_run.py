@@ -221,7 +221,8 @@ class BagRun:
             return
         share = f"{len(missing):,} of {counted(len(clouds), 'cloud')}"
         problem = f"has no labels of {share}, such as {measured.stem}"
-        hint = making_hint("label", self.results.root, measured)
+        # If runs were asked for the first clouds only, the last one needs a run over all.
+        hint = making_hint("label", self.results.root, missing[-1:])
         raise NoInputError(bag.path, problem, "labels of all clouds of the topic", hint)
 
     def _warn_of_other_topics(

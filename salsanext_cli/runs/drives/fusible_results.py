@@ -167,8 +167,9 @@ def _require_unrejected(out: Path) -> None:
 def _no_softmax(results: ResultFolder, scans: Sequence[ScanFile]) -> NoInputError:
     """Return the error of a folder without a softmax, with the command that writes one."""
     was_fused = results.manifest.record("fuse") is not None
-    predict = PREDICT_VOTES.text(results.root, *scans[:1], overwrite=was_fused)
-    hint = f"run `{predict}`, or with {setting('extras', ('probabilities',))}"
+    predict = PREDICT_VOTES.text(results.root, scans, overwrite=was_fused)
+    following = PREDICT_VOTES.following(results.root, scans)
+    hint = f"run `{predict}`, or with {setting('extras', ('probabilities',))}{following}"
     return NoInputError(results.root, "has no softmax of any scan", "votes or probabilities", hint)
 
 

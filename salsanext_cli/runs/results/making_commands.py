@@ -3,28 +3,23 @@
 
 from __future__ import annotations
 
+import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.runs.results.folder_names import ERROR
-from salsanext_cli.runs.results.manifest import Manifest, ScanSource
+from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.repeated_settings import (
     extras_of_run,
     network_record,
     settings_of_run,
 )
+from salsanext_cli.runs.results.scan_arguments import are_moved, scan_arguments
 from salsanext_cli.runs.scans.scan_file import ScanFile
-from salsanext_cli.runs.scans.scan_search import find_scans
-from salsanext_cli.runs.scans.selection import data_set_of
 
-UNKNOWN_SCANS = "SCANS"
-"""Word for scans that are not known, or in several folders."""
-MAX_NAMED_PARTS = 3
-"""Files or folders of a part of a data set that a command names; it names the whole for more."""
 WITHOUT_NOISE = "none"  # Value of `UncertaintyMethod.aleatoric`
 
 
@@ -39,7 +34,12 @@ class MakingCommand:
     needs_noise: bool = False  # Whether a run without the noise of the sensor has no such results
 
     def text(
-        self, out: Path, *files: ScanFile, target: Path | None = None, overwrite: bool = False
+        self,
+        out: Path,
+        scans: Sequence[ScanFile] = (),
+        *,
+        target: Path | None = None,
+        overwrite: bool = False,
     ) -> str:
         """Return the command line, with the settings of the run in a folder.
 
@@ -47,10 +47,10 @@ class MakingCommand:
         ----------
         out : Path
             Folder with results.
-        *files : ScanFile
-            Scans of the results, if they are known.
+        scans : sequence of ScanFile
+            Scans that need the results, if they are known.
         target : Path, optional
-            Folder that the command writes to, by default the same.
+            Folder that the command writes to, by default that of `target`.
         overwrite : bool
             Whether the command replaces results.
 
@@ -61,7 +61,9 @@ class MakingCommand:
         words = ["salsanext", self.stage]
         settings: list[str] = []
         if self.stage != "fuse":
-            words += _sources(files, Manifest(out).sources())
+            arguments = scan_arguments(out, scans)
+            words += arguments.sources
+            settings += arguments.settings()
             settings += settings_of_run(Manifest(out), self.omitted)
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
@@ -73,56 +75,19 @@ class MakingCommand:
             settings += sampled.sampling_as_typed()
         if overwrite:
             settings.append(setting("overwrite", True))
-        return command(shlex.join([*words, str(target or out)]), *settings)
+        target = target or self.target(out, scans)
+        return command(shlex.join([*words, str(target)]), *settings)
 
+    def target(self, out: Path, scans: Sequence[ScanFile]) -> Path:
+        """Return the folder of the results: the same, or another one for scans that were moved."""
+        if self.stage == "fuse" or not are_moved(out, scans):
+            return out
+        return Path(f"{os.path.normpath(out)}-{self.stage}")
 
-def _sources(files: Sequence[ScanFile], recorded: Mapping[str, ScanSource]) -> list[str]:
-    """Return the data set or folder of each scan, or the part of it that the run was asked for.
-
-    Parameters
-    ----------
-    files : sequence of ScanFile
-        Scans of the results; the word `SCANS` stands for none.
-    recorded : mapping of str to ScanSource
-        Scans that the runs were asked for, by sequence; empty where it is not recorded.
-
-    Returns
-    -------
-    list of str
-    """
-    if not files:
-        return [UNKNOWN_SCANS]
-    wholes = [str(data_set_of(file) or file.path.parent) for file in files]
-    number = sum(len(source.suffixes) for source in recorded.values())
-    if not number or number >= sum(map(_number_of_scans, wholes)):
-        return wholes
-    for part in (
-        _recorded_files(recorded),
-        sorted({source.folder for source in recorded.values()}),
-    ):
-        if 0 < len(part) <= MAX_NAMED_PARTS:
-            return part
-    return wholes
-
-
-def _number_of_scans(whole: str) -> int:
-    """Return the number of scans in a folder, 0 if it is no more."""
-    try:
-        return len(find_scans(Path(whole), unique=False))
-    except NoInputError:
-        return 0
-
-
-def _recorded_files(recorded: Mapping[str, ScanSource]) -> list[str]:
-    """Return the paths of the files of recorded scans, none if one has no file of its own."""
-    names = [
-        (Path(source.folder) / stem, suffix)
-        for source in recorded.values()
-        for stem, suffix in sorted(source.suffixes.items())
-    ]
-    if not all(suffix for _, suffix in names):
-        return []
-    return [f"{path}{suffix}" for path, suffix in names]
+    def following(self, out: Path, scans: Sequence[ScanFile]) -> str:
+        """Return the words about the folder to give afterwards; empty for the same one."""
+        target = self.target(out, scans)
+        return "" if target == out else f", then give {shlex.quote(str(target))}"
 
 
 PREDICT = MakingCommand(stage="predict")
@@ -146,12 +111,14 @@ MADE_BY = {
 """Command by kind of uncertainty; labels and their confidence are made by `PREDICT`."""
 
 
-def making_hint(column: str, out: Path, *files: ScanFile) -> str:
+def making_hint(column: str, out: Path, scans: Sequence[ScanFile] = ()) -> str:
     """Return the hint for a folder of results of scans without labels or a kind of uncertainty."""
-    text = MADE_BY.get(column, PREDICT).text(out, *files)
+    making = MADE_BY.get(column, PREDICT)
+    run = f"run `{making.text(out, scans)}`"
+    following = making.following(out, scans)
     if column != "error":
-        return f"run `{text}` first"
+        return f"{run}{following or ' first'}"
     record = network_record(Manifest(out))
     if record is None or not record.weights_file:
-        return f"run `{text}`"
-    return f"run `{text}`; the weights need an error model, which `salsanext tune error` fits"
+        return f"{run}{following}"
+    return f"{run}{following}; the weights need an error model, which `salsanext tune error` fits"

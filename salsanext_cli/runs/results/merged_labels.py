@@ -60,6 +60,6 @@ def hint_for_error(out: Path, file: ScanFile) -> str:
     str
     """
     folder = Path(f"{os.path.normpath(out)}{SUFFIX_OF_FOLDER}")
-    predict = PREDICT_UNMERGED_ERROR.text(out, file, target=folder)
+    predict = PREDICT_UNMERGED_ERROR.text(out, [file], target=folder)
     remedy = f"run `{predict}`, then give {shlex.quote(str(folder))}"
     return f"the error belongs to the classes of the weights: {remedy}"

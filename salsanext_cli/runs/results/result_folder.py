@@ -223,7 +223,7 @@ class ResultFolder:
         self.provenance.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
-            hint = making_hint("label", self.root, *chosen[:1])
+            hint = making_hint("label", self.root, chosen)
             raise NoInputError(self.root, "contains no results of these scans", hint=hint)
         if len(scans) == limit:
             # Scans after the last one of the limit are not missing.
@@ -307,7 +307,7 @@ class ResultFolder:
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         expected = f"the file {self._path(file, column)}"
-        hint = making_hint(column, self.root, file)
+        hint = making_hint(column, self.root, [file])
         weights = self.provenance.weights("predictions")
         if column == "error" and are_in_merged_classes(self.provenance.label_space(), weights):
             hint = hint_for_error(self.root, file)

@@ -302,8 +302,7 @@ def test_unfusible_results_are_refused(world, drive):
         fuse_results(drive.out)
     command = shlex.split(caught.value.hint.partition("`")[2].partition("`")[0])
     folder = drive.data / "sequences/08/velodyne"
-    asked_for = [str(folder / f"{stem}.bin") for stem in ("000000", "000001", "000002")]
-    assert command[:6] == ["salsanext", "predict", *asked_for, str(drive.out)]
+    assert command[:4] == ["salsanext", "predict", str(folder), str(drive.out)]
     assert command[command.index("--weights") + 1] == str(drive.network.weights)
     assert command[-1] == "--fuse"
     assert not fused_folder(drive).exists()

@@ -154,6 +154,11 @@ def test_clouds_without_labels_are_refused_unless_they_have_no_measurements(tmp_
     assert f"4 of 5 clouds, such as {NAMES[1]}" in caught.value.problem
     assert f"salsanext predict {bag.topic}" in caught.value.hint
     assert messages_of(tmp_path / "to/drive"), "the earlier copy stays"
+    # A run over the first clouds alone would leave the bag as it is.
+    first = [str(START - 2), str(START - 1), *NAMES[:2]]
+    record_sources(bag.out, {"drive": ScanSource(str(bag.topic), dict.fromkeys(first, ""))})
+    caught = refused(NoInputError, bag.path, call, drop=["moving"], options=AGAIN)
+    assert caught.value.hint == f"run `salsanext predict {bag.topic} {bag.out}` first"
 
 
 def test_only_the_first_cloud_that_lacks_labels_is_read_again(tmp_path):

@@ -5,13 +5,14 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from pathlib import Path
 from shutil import copyfile
 
 import numpy as np
 import pytest
 import yaml
 from command_line import called
-from scans import SMALL, write_sequence
+from scans import SMALL
 from world import World
 
 from salsanext_cli import label_space
@@ -32,10 +33,10 @@ from salsanext_cli.runs.scans.scan_search import find_scans
 PROBABILITIES = MakingCommand(stage="predict", extras=("probabilities",))
 
 
-def words_of(making: MakingCommand, out, *files, **changes) -> list[str]:
+def words_of(making: MakingCommand, out, scans=(), **changes) -> list[str]:
     """Return the words of a command as they are typed."""
     with spelled(CommandLine()):
-        return shlex.split(making.text(out, *files, **changes))
+        return shlex.split(making.text(out, scans, **changes))
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def run_with_options(world: World, tmp_path, monkeypatch) -> World:
 
 def test_a_hint_about_missing_results_continues_the_same_run(run_with_options):
     world = run_with_options
-    words = words_of(PROBABILITIES, world.out, find_scans(world.data)[0])
+    words = words_of(PROBABILITIES, world.out, find_scans(world.data))
     assert words[:4] == ["salsanext", "predict", str(world.data), str(world.out)]
     for option, value in {"--sensor": "my sensor.toml", "--width": "64", "--knn-k": "3"}.items():
         assert words[words.index(option) + 1] == value
@@ -62,31 +63,39 @@ def test_a_hint_about_missing_results_continues_the_same_run(run_with_options):
     called("predict", world.data, world.out, "--weights", world.network.weights, status=1)
 
 
-@pytest.mark.parametrize("number", [1, 3])
-def test_a_hint_names_no_more_than_the_scans_that_the_run_was_asked_for(world, tmp_path, number):
-    files = [scan.path for scan in find_scans(world.data)][:number]
-    for further in range(4):
-        write_sequence(world.data / f"sequences/9{further}", ["0", "1"], count=300)
-    called("predict", *files, world.out, "--weights", world.network.weights)
-    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(files[0])[0])
-    expected = [str(file) for file in files]
-    assert words[2 : 3 + number] == [*expected, str(world.out)]
+def test_a_hint_names_no_more_than_the_scans_that_the_run_was_asked_for(world):
+    folder = find_scans(world.data, ["08"])[0].path.parent
+    for number in (2, 3, 4):
+        copyfile(folder / "000001.bin", folder / f"{number:06d}.bin")
+    weights = ("--weights", world.network.weights, "--engine", "torch")
+    called("predict", world.data, world.out, "--limit", 4, *weights)
+    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(folder))
+    called(*words[1:], "--samples", 2)
+    names = [("00", "000000"), ("08", "000000"), ("08", "000001"), ("08", "000002")]
+    assert [*find_outputs(world.out, "uncertainty/epistemic")] == names
 
 
-def test_a_hint_of_a_run_over_many_files_of_a_folder_names_the_folder(world):
-    folder = find_scans(world.data)[0].path.parent
-    write_sequence(world.data / "sequences/97", ["0", "1"], count=300)
-    more = [f"further{number}" for number in range(3)]
-    for name in more:
-        copyfile(find_scans(folder)[0].path, folder / f"{name}.bin")
-    called("predict", folder, world.out, "--weights", world.network.weights)
-    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(folder)[0])
-    assert words[2:4] == [str(folder), str(world.out)]
+def test_results_of_moved_scans_are_made_in_another_folder(world, tmp_path):
+    files = [scan.path for scan in find_scans(world.data)][:2]
+    weights = ("--weights", world.network.weights, "--engine", "torch")
+    called("predict", *files, world.out, *weights)
+    moved = world.data.rename(tmp_path / "moved")
+    options = ("--colour", "entropy", "--dataset", moved)
+    missing = called("export-ply", world.out, *options, status=1)
+    hint = re.search(r"^hint: run `salsanext (.+)`, then give (.+)$", missing.stderr, re.M)
+    (target,) = shlex.split(hint[2])
+    called(*shlex.split(hint[1]), "--samples", 2)
+    called("export-ply", target, *options)
+    assert [*find_outputs(Path(target), "ply")] == [("00", "000000"), ("08", "000000")]
+    # The same folder takes no results of scans that may be others of the same names.
+    with spelled(CommandLine()):
+        refused = PREDICT.text(world.out, find_scans(moved), target=world.out)
+    called(*shlex.split(refused)[1:], status=1)
 
 
 def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):
     world = run_with_options
-    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data)[0])
+    words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data))
     assert "--objects" not in words
     called(*words[1:], "--samples", 2)
     assert len(find_outputs(world.out, "uncertainty/epistemic")) == 3
@@ -135,7 +144,7 @@ def test_a_run_with_the_defaults_needs_no_options(world, tmp_path, monkeypatch):
 def test_the_hint_about_the_error_names_its_option(world):
     world.predict()
     with spelled(CommandLine()):
-        assert " --error`" in making_hint("error", world.out, find_scans(world.data)[0])
+        assert " --error`" in making_hint("error", world.out, find_scans(world.data))
         assert making_hint("entropy", world.out).startswith("run `salsanext uncertainty SCANS ")
 
 
@@ -155,7 +164,7 @@ def test_the_hint_of_fuse_can_be_followed_with_merged_classes(
     # Without poses of the scans, nothing can be fused.
     called(*(command[2] if word == "--fuse" else word for word in words))
     assert len(find_outputs(world.out, "probabilities")) == 3
-    called(*words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data)[0])[1:], "--samples", 2)
+    called(*words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data))[1:], "--samples", 2)
     with spelled(CommandLine()):
         hint = hint_for_error(world.out, find_scans(world.data)[0])
     # Merged labels have no probability of error.
@@ -171,13 +180,13 @@ def test_a_hint_states_the_origin_as_it_was_typed(world, tmp_path):
     assert recorded.origin == (-0.5, 0.25, 0.125)
     file = find_scans(world.data)[0]
     other = tmp_path / "other"
-    called(*words_of(PREDICT, world.out, file, overwrite=True)[1:])
-    called(*words_of(PREDICT, world.out, file, target=other)[1:])
+    called(*words_of(PREDICT, world.out, [file], overwrite=True)[1:])
+    called(*words_of(PREDICT, world.out, [file], target=other)[1:])
     for out in (world.out, other):
         assert Provenance(out).sensor() == recorded
     for path in world.out.rglob("*.label"):
         again = np.fromfile(other / path.relative_to(world.out), "<u4")
         assert np.array_equal(np.fromfile(path, "<u4"), again)
     # `uncertainty` takes the recorded sensor, and has no such option.
-    called(*words_of(UNCERTAINTY_STAGE, world.out, file)[1:], "--samples", 2)
+    called(*words_of(UNCERTAINTY_STAGE, world.out, [file])[1:], "--samples", 2)
     assert Provenance(world.out).sensor() == recorded
