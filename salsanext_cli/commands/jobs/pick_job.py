@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Job of `pick`: a picked scan to its copy, and a coloured cloud with pre-labels."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from salsanext_cli.core.engines.backend import PixelPrediction
@@ -36,6 +36,8 @@ class PickJob:
     samples: int  # Passes of Monte-Carlo dropout
     data_set: PickedDataSet
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
+    # Of points in map coordinates, metres, in files beside the scans
+    frames: Mapping[ScanFile, Origin] = field(default_factory=dict)
 
     def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan."""
@@ -51,7 +53,7 @@ class PickJob:
         network = prepared.scan.network
         pixels = PixelPrediction.from_softmax(estimate.probabilities)
         labelled = refine_labels(prepared.scan, pixels, KnnParameters())
-        frame = self.data_set.write_points(file, network.sensor)
+        frame = self.data_set.write_points(file, network.sensor, self.frames)
         cloud = picked_cloud(labelled, estimate.uncertainty.mutual_information, network.space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
         raw = network.space.to_raw(labelled.labels)

@@ -22,7 +22,7 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.io.annotation_tools.registry import tool_named
 from salsanext_cli.io.annotation_tools.tool import AnnotationTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.annotation.map_frames import add_frames
+from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
 from salsanext_cli.runs.annotation.picked_data_set import (
     NAMED,
     STAGE,
@@ -142,7 +142,14 @@ def pick(
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
-        write = partial(PickJob, seed=seed, samples=SAMPLES, data_set=data_set, origins=origins)
+        write = partial(
+            PickJob,
+            seed=seed,
+            samples=SAMPLES,
+            data_set=data_set,
+            origins=origins,
+            frames=frames_beside(prepared.files(record)),
+        )
         task = sampling_task(write, resolved, network)
         outcome = _written(task, prepared, record, options)
         _add_files_of_tool(prepared, labelling_tool, record)

@@ -24,7 +24,7 @@ from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.annotation.label_records import IMPORTED
-from salsanext_cli.runs.annotation.map_frames import frame_of, frames_beside
+from salsanext_cli.runs.annotation.map_frames import frame_of
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
 from salsanext_cli.runs.results.output_paths import output_path
@@ -136,15 +136,17 @@ class PickedDataSet(OwnedFolder):
         labels = folder / "labels" / f"{stem}.label"
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
-    def write_points(self, file: ScanFile, sensor: Sensor) -> Origin:
+    def write_points(
+        self, file: ScanFile, sensor: Sensor, beside: Mapping[ScanFile, Origin]
+    ) -> Origin:
         """Write a scan as `.bin`, with the intensity in its file; return the frame of its points.
 
         The frame is a position in the coordinates of the map, in metres, also if the file was
-        moved out of them before.
+        moved out of them before. `beside`: frames by `frames_beside`.
         """
         scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
         self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
-        return frame_of(file, scan, frames_beside([file]))
+        return frame_of(file, scan, beside)
 
     def write_pre_labels(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
         """Record pre-labels of scans, and write those that are missing."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from calls import calls_of
 from scans import SMALL, files_below, make_scan, refused, write_sequence, write_weights
 from world import Stored
 
@@ -31,6 +32,7 @@ from salsanext_cli.core.errors import (
 from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.frames import read_frames
+from salsanext_cli.runs.annotation.map_frames import frames_beside
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.annotation.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
@@ -277,15 +279,17 @@ def test_unreadable_scans_are_named_each_time_and_the_others_picked(drive):
 def test_frames_are_written_although_a_scan_fails(drive, monkeypatch):
     write, stems = PickedDataSet.write_points, []
 
-    def write_moved(self, file, sensor):
+    def write_moved(self, file, sensor, beside):
         stems.append(file.stem)
         if len(stems) == 1:
             raise FormatError(file.path, "is damaged", "a scan")
-        write(self, file, sensor)
+        write(self, file, sensor, beside)
         return (10_000.0, 0.0, 0.0)
 
     monkeypatch.setattr(PickedDataSet, "write_points", write_moved)
-    assert len(run(drive).outcome.failures) == 1
+    with calls_of(frames_beside) as readings:
+        assert len(run(drive).outcome.failures) == 1
+    assert len(readings) == 1, "the frames of all scans are read together"
     frames = drive.out / "sequences/08/frames.json"
     assert read_frames(frames) == dict.fromkeys(stems[1:], (10_000.0, 0.0, 0.0))
     assert run(drive).outcome.failures == ()

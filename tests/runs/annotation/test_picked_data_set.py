@@ -9,7 +9,7 @@ from scans import SMALL, make_scan, write_sequence
 from salsanext_cli import read_scan
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
-from salsanext_cli.runs.annotation.map_frames import add_frames
+from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet, PickSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
@@ -43,7 +43,7 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     path.parents[1].joinpath("poses.txt").write_text("line\n")
     (scan,) = find_scans(tmp_path / "data")
     data_set = PickedDataSet(tmp_path / "out")
-    frame = data_set.write_points(scan, SMALL)
+    frame = data_set.write_points(scan, SMALL, {})
     add_frames(data_set, {scan: frame})
     data_set.write_poses({scan: frame})
     sequence = tmp_path / "out/sequences/08"
@@ -61,7 +61,8 @@ def test_a_copy_of_a_scan_that_was_moved_has_the_frame_of_the_first_file(tmp_pat
     frame = (500_000.0, 5_400_000.0, 0.0)
     (folder / FRAMES).write_bytes(encode_frames({"000001": frame}))
     data_set = PickedDataSet(tmp_path / "out")
-    found = [data_set.write_points(scan, SMALL) for scan in find_scans(tmp_path / "data")]
+    scans = find_scans(tmp_path / "data")
+    found = [data_set.write_points(scan, SMALL, frames_beside(scans)) for scan in scans]
     assert found == [NO_SHIFT, frame]
 
 
