@@ -22,7 +22,7 @@ from salsanext_cli.io.formats.recording_kinds import kind_of
 from salsanext_cli.io.formats.recordings import files_of, recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
-from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
+from salsanext_cli.runs.annotation.map_frames import changed_frames, frames_beside, write_frames
 from salsanext_cli.runs.copies.bag_run import BagOfResults, BagRun, bags_of, is_bag
 from salsanext_cli.runs.copies.filled_folder import begin, foresee
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -138,9 +138,11 @@ def plan_filter(
         files = [file for bag in to_copy.clouds for file in files_of(bag.path)]
     else:
         task = _with_foreign_files(task, scans)
-        plan = RunPlan.from_scans(
-            listed, scans, options.shard, lambda scan: stays and task.is_done(scan)
-        )
+
+        def is_done(scan: ScanFile) -> bool:
+            return stays and scan not in prepared.moved and task.is_done(scan)
+
+        plan = RunPlan.from_scans(listed, scans, options.shard, is_done)
         files = [scan.path for scan in plan.todo]
     size = sum(file.stat().st_size for file in files)
     return replace(plan, missing=prepared.chosen.missing, size=size, is_limit=True)
@@ -158,9 +160,8 @@ def _filter_files(
     `frames`: frames of scans that were moved out of a map, metres.
     """
     task = _with_foreign_files(task, scans)
-    todo = [scan for scan in scans if options.overwrite or not task.is_done(scan)]
-    # First, so that an interrupted run leaves no scan without its frame.
-    add_frames(task.owned, frames, rewritten=todo)
+    with task.owned.locked_records():
+        _update_frames(task, scans, frames)
 
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts
@@ -180,6 +181,19 @@ def _with_foreign_files(task: PointFilter, scans: Sequence[ScanFile]) -> PointFi
     """Return a filter with the files that are not as salsanext wrote them."""
     paths = map(task.path, scans)
     return replace(task, foreign=frozenset(task.owned.foreign_files(paths)))
+
+
+def _update_frames(
+    task: PointFilter, scans: Sequence[ScanFile], frames: Mapping[ScanFile, Origin]
+) -> None:
+    """Write the frames of scans, and remove their outdated files, which are in other frames.
+
+    This comes before the first scan, so that an interrupted run leaves none without its frame.
+    """
+    changed = changed_frames(task.owned, scans, frames)
+    outdated = {task.path(scan) for change in changed for scan in change.scans}
+    task.owned.remove_written(outdated - task.foreign)
+    write_frames(task.owned, changed)
 
 
 def _filter_bags(
@@ -234,6 +248,7 @@ class PreparedFilter:
     bags: Sequence[BagOfResults]  # Of the scans; none for scans in files
     # Of scans that were moved out of a map, metres; read before outdated files are removed
     frames: Mapping[ScanFile, Origin]
+    moved: Collection[ScanFile]  # Scans whose frame is another than that of their copy
 
 
 def _prepared(
@@ -271,8 +286,14 @@ def _prepared(
     )
     bags = bags_of(chosen.scans)
     _require_one_kind(chosen.scans, bags, query)
+    frames = frames_beside(chosen.scans)
+    changed = [] if bags else changed_frames(point_filter.owned, chosen.scans, frames)
     return PreparedFilter(
-        task=point_filter, chosen=chosen, bags=bags, frames=frames_beside(chosen.scans)
+        task=point_filter,
+        chosen=chosen,
+        bags=bags,
+        frames=frames,
+        moved={scan for change in changed for scan in change.scans},
     )
 
 

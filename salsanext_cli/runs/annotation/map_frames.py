@@ -3,7 +3,8 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.core.records import Origin, Scan
@@ -57,27 +58,72 @@ def digest_of_frames(scans: Iterable[ScanFile]) -> str | None:
     return hashlib.sha256(content).hexdigest()[:24]
 
 
-def add_frames(
-    owned: OwnedFolder, frames: Mapping[ScanFile, Origin], rewritten: Iterable[ScanFile] = ()
-) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangedFrames:
+    """File of the frames of copies of scans, which has to change."""
+
+    path: Path
+    frames: dict[str, Origin]  # Its new content, by stem, metres
+    scans: list[ScanFile]  # Scans whose frame differs from the recorded one
+
+
+def add_frames(owned: OwnedFolder, frames: Mapping[ScanFile, Origin]) -> None:
     """Write the frames of scans that were moved, beside those that are written already.
 
-    `rewritten`: scans whose files are written again, so that their earlier frames do not stay.
+    These stay, as the copies of their scans do.
     """
-    moved: dict[str, dict[str, Origin]] = {}
-    for scan, frame in sorted(frames.items()):
-        if frame != NO_SHIFT:
-            moved.setdefault(scan.sequence, {})[scan.stem] = frame
-    outdated = {(scan.sequence, scan.stem) for scan in rewritten}
-    for name in sorted({*moved, *(sequence for sequence, _ in outdated)}):
-        path = owned.root / "sequences" / name / FRAMES
+    moved = [scan for scan, frame in frames.items() if frame != NO_SHIFT]
+    recorded = {path: read_frames(path) for path in {_path(owned, scan) for scan in moved}}
+    added = [scan for scan in moved if scan.stem not in recorded[_path(owned, scan)]]
+    write_frames(owned, changed_frames(owned, added, frames))
+
+
+def changed_frames(
+    owned: OwnedFolder, scans: Iterable[ScanFile], frames: Mapping[ScanFile, Origin]
+) -> list[ChangedFrames]:
+    """Return the files of frames that have to change, since they have other frames of scans.
+
+    Parameters
+    ----------
+    owned : OwnedFolder
+        Folder with copies of scans.
+    scans : iterable of ScanFile
+        Scans whose frames are compared; those of others stay.
+    frames : mapping of ScanFile to tuple of float
+        Frames of the scans that were moved, metres.
+
+    Returns
+    -------
+    list of ChangedFrames
+    """
+    changed = []
+    for path, group in groupby(sorted(scans), lambda scan: _path(owned, scan)):
+        members = list(group)
+        current = {scan.stem: frames.get(scan, NO_SHIFT) for scan in members}
         recorded = read_frames(path)
-        stays = {stem: recorded[stem] for stem in recorded if (name, stem) not in outdated}
-        combined = moved.get(name, {}) | stays
-        if not combined:
-            owned.remove_written([path])
-        elif combined != recorded:
-            owned.write(path, encode_frames(combined))
+        combined = {
+            stem: frame for stem, frame in (recorded | current).items() if frame != NO_SHIFT
+        }
+        differing = [
+            scan for scan in members if current[scan.stem] != recorded.get(scan.stem, NO_SHIFT)
+        ]
+        if differing:
+            changed.append(ChangedFrames(path=path, frames=combined, scans=differing))
+    return changed
+
+
+def write_frames(owned: OwnedFolder, changed: Iterable[ChangedFrames]) -> None:
+    """Write changed files of frames; a file without any is removed."""
+    for change in changed:
+        if change.frames:
+            owned.write(change.path, encode_frames(change.frames))
+        else:
+            owned.remove_written([change.path])
+
+
+def _path(owned: OwnedFolder, scan: ScanFile) -> Path:
+    """Return the file of the frames of the copies of a sequence."""
+    return owned.root / "sequences" / scan.sequence / FRAMES
 
 
 def _frames_by_folder(scans: Iterable[ScanFile]) -> dict[Path, dict[str, Origin]]:

@@ -12,18 +12,19 @@ from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
 from salsanext_cli.commands.line.commands.filter import _filter_numbers
-from salsanext_cli.commands.stages.filter import filter_scans
+from salsanext_cli.commands.stages.filter import filter_scans, plan_filter
 from salsanext_cli.core.classes.merging import named_classes
 from salsanext_cli.core.errors import FormatError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.geometry.scan_traits import traits_of
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
-from salsanext_cli.io.frames import FRAMES, encode_frames
+from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.manifest import Manifest, StageRecord
 from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 SPACE = label_space()
 CAR, TRUCK, PERSON, RIDER, ROAD, TREE = 10, 18, 30, 31, 40, 70
@@ -84,15 +85,42 @@ def test_scans_that_were_moved_out_of_a_map_keep_their_frames(apply, world, tmp_
     (world.dataset / "sequences/08" / FRAMES).write_bytes(written)
     apply(drop=["person"])
     assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == written
-    moved = encode_frames({"000001": (1.0, 2.0, 3.0)})
-    (world.dataset / "sequences/08" / FRAMES).write_bytes(moved)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_scans_whose_frame_changes_are_filtered_again(apply, world, tmp_path, overwrite):
+    """The points of a copy are in the frame of the scan at that time."""
+    source = world.dataset / "sequences/08" / FRAMES
+    target = tmp_path / "to/sequences/08" / FRAMES
+    source.write_bytes(encode_frames({"000001": (690_000.0, 5_330_000.0, 0.0)}))
+    assert apply(drop=["person"]).done == 2
+    options = RunOptions(overwrite=overwrite)
+    query = ResultQuery(world.dataset)
+    again = partial(apply, drop=["person"], options=options)
+    plan = partial(
+        plan_filter, world.out, tmp_path / "to", drop=["person"], query=query, options=options
+    )
+    source.write_bytes(encode_frames({"000001": (690_000.0, 5_330_000.0, 47.5)}))
+    assert [scan.stem for scan in plan().todo] == ["000000", "000001"][1 - overwrite :]
+    assert again().done == 1 + overwrite
+    assert target.read_bytes() == source.read_bytes()
+    assert again().done == 2 * overwrite
+    source.unlink()
+    assert again().done == 1 + overwrite
+    assert not target.exists()
+    assert remaining(tmp_path, "000001") == [0, 1, 2, 3]
+
+
+def test_frames_of_scans_that_are_not_filtered_stay(apply, world, tmp_path):
+    source = world.dataset / "sequences/08" / FRAMES
+    target = tmp_path / "to/sequences/08" / FRAMES
+    frames = dict.fromkeys(("000000", "000001"), (690_000.0, 5_330_000.0, 0.0))
+    source.write_bytes(encode_frames(frames))
     apply(drop=["person"])
-    assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == written
-    apply(drop=["person"], options=RunOptions(overwrite=True))
-    assert (tmp_path / "to/sequences/08" / FRAMES).read_bytes() == moved
-    (world.dataset / "sequences/08" / FRAMES).unlink()
-    apply(drop=["person"], options=RunOptions(overwrite=True))
-    assert not (tmp_path / "to/sequences/08" / FRAMES).exists()
+    source.write_bytes(encode_frames({"000000": (1.0, 2.0, 3.0)}))
+    first = ResultQuery(world.dataset, ScanSelection(limit=1))
+    assert apply(drop=["person"], query=first).done == 1
+    assert read_frames(target) == frames | {"000000": (1.0, 2.0, 3.0)}
 
 
 def test_a_file_of_the_name_of_frames_loses_no_results(apply, world, tmp_path, caplog):
