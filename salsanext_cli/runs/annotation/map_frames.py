@@ -11,7 +11,7 @@ from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
-from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile
 
@@ -70,7 +70,8 @@ class ChangedFrames:
 def add_frames(owned: OwnedFolder, frames: Mapping[ScanFile, Origin]) -> None:
     """Write the frames of scans that were moved, beside those that are written already.
 
-    These stay, as the copies of their scans do.
+    These stay, as the copies of their scans do. A file that the user edited is refused if it lacks
+    a frame.
     """
     moved = [scan for scan, frame in frames.items() if frame != NO_SHIFT]
     recorded = {path: read_frames(path) for path in {_path(owned, scan) for scan in moved}}
@@ -82,6 +83,8 @@ def changed_frames(
     owned: OwnedFolder, scans: Iterable[ScanFile], frames: Mapping[ScanFile, Origin]
 ) -> list[ChangedFrames]:
     """Return the files of frames that have to change, since they have other frames of scans.
+
+    Frames that the user stated for copies of scans without one stay.
 
     Parameters
     ----------
@@ -95,6 +98,11 @@ def changed_frames(
     Returns
     -------
     list of ChangedFrames
+
+    Raises
+    ------
+    OutputError
+        If salsanext did not write such a file, or the user edited it.
     """
     changed = []
     for path, group in groupby(sorted(scans), lambda scan: _path(owned, scan)):
@@ -109,7 +117,12 @@ def changed_frames(
         ]
         if differing:
             changed.append(ChangedFrames(path=path, frames=combined, scans=differing))
-    return changed
+    foreign = {*owned.foreign_files([change.path for change in changed])}
+    for change in changed:
+        has_frames = any(frames.get(scan, NO_SHIFT) != NO_SHIFT for scan in change.scans)
+        if change.path in foreign and has_frames:
+            raise foreign_file(change.path)
+    return [change for change in changed if change.path not in foreign]
 
 
 def write_frames(owned: OwnedFolder, changed: Iterable[ChangedFrames]) -> None:

@@ -123,6 +123,39 @@ def test_frames_of_scans_that_are_not_filtered_stay(apply, world, tmp_path):
     assert read_frames(target) == frames | {"000000": (1.0, 2.0, 3.0)}
 
 
+def test_frames_that_the_user_edited_are_refused_before_any_result_is_removed(
+    apply, world, tmp_path
+):
+    source = world.dataset / "sequences/08" / FRAMES
+    target = tmp_path / "to/sequences/08" / FRAMES
+    frames = {"000001": (690_000.0, 5_330_000.0, 0.0)}
+    source.write_bytes(encode_frames(frames))
+    apply(drop=["person"])
+    target.write_bytes(encode_frames({"000001": (690_007.5, 5_330_000.0, 0.0)}))
+    before = files_below(tmp_path / "to")
+    for options in ({"drop": ["person"]}, {"drop": ["car"], "options": RunOptions(overwrite=True)}):
+        refused(OutputError, target, apply, **options)
+        query = ResultQuery(world.dataset)
+        refused(
+            OutputError, target, plan_filter, world.out, tmp_path / "to", query=query, **options
+        )
+        assert files_below(tmp_path / "to") == before
+    source.write_bytes(target.read_bytes())
+    apply(drop=["car"], options=RunOptions(overwrite=True))
+    assert target.read_bytes() == source.read_bytes(), "the same frames are no change"
+    assert OwnedFolder(tmp_path / "to").foreign_files([target]) == [target]
+
+
+@pytest.mark.parametrize("content", ['{"000001": [1.0, 2.0, 3.0]}', "[]"])
+def test_frames_that_only_the_user_stated_stay(apply, tmp_path, content):
+    target = tmp_path / "to/sequences/08" / FRAMES
+    apply(drop=["person"])
+    target.write_text(content)
+    assert apply(drop=["car"], options=RunOptions(overwrite=True)).done == 2
+    assert target.read_text() == content
+    assert OwnedFolder(tmp_path / "to").foreign_files([target]) == [target]
+
+
 def test_a_file_of_the_name_of_frames_loses_no_results(apply, world, tmp_path, caplog):
     again = RunOptions(overwrite=True)
     path = world.dataset / "sequences/08" / FRAMES

@@ -4,8 +4,9 @@
 from dataclasses import replace
 
 import pytest
-from scans import make_scan, write_sequence
+from scans import make_scan, refused, write_sequence
 
+from salsanext_cli.core.errors import OutputError
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.runs.annotation.map_frames import (
@@ -59,3 +60,17 @@ def test_frames_are_added_to_those_that_are_written(tmp_path):
     add_frames(data_set, {first: frame, second: NO_SHIFT, third: (0.0, 1.0, 0.0)})
     assert read_frames(path) == {"000000": frame, "000002": frame}
     assert data_set.foreign_files([path]) == []
+
+
+def test_edited_frames_of_copies_stay_and_are_refused_if_one_is_missing(tmp_path):
+    write_sequence(tmp_path / "data/sequences/08", ("000000", "000001"), labels=False)
+    first, second = find_scans(tmp_path / "data")
+    data_set = PickedDataSet(tmp_path / "out")
+    path = tmp_path / "out/sequences/08/frames.json"
+    add_frames(data_set, {first: FRAME})
+    edited = encode_frames({"000000": OTHER})
+    path.write_bytes(edited)
+    add_frames(data_set, {first: FRAME, second: NO_SHIFT})
+    refused(OutputError, path, add_frames, data_set, {first: FRAME, second: FRAME})
+    assert path.read_bytes() == edited
+    assert data_set.foreign_files([path]) == [path]
