@@ -128,7 +128,7 @@ def plan_filter(
     prepared = _prepared(out, folder, drop, keep, max_error, query)
     task = prepared.task
     scans = prepared.chosen.scans
-    listed = task.results.scans()
+    listed = prepared.chosen.listed
     stays = foresee(task.owned, task.settings, options.overwrite) and not options.overwrite
     if prepared.bags:
         run = _bag_run(task, {})
