@@ -94,17 +94,17 @@ def test_an_interruption_leaves_whole_files_only(tmp_path, options):
         if done == 2:
             timer.start()
 
-    scans = scans_of(*(f"{n:03d}" for n in range(400)))
+    scans = scans_of(*(f"{n:03d}" for n in range(200)))
     with pytest.raises(KeyboardInterrupt):
         run(Write(tmp_path, pause=0.05), scans, **options, progress=arm)
     written = list((tmp_path / "s").iterdir())
-    assert 2 <= count <= len(written) < 400
+    assert 2 <= count <= len(written) < 200
     for path in written:
         assert not path.name.startswith(".")
         assert path.read_text() == path.name
     again = run(Write(tmp_path), scans, **options)
     assert again.skipped == len(written)
-    assert again.done == 400 - len(written)
+    assert again.done == 200 - len(written)
 
 
 PEAK = """

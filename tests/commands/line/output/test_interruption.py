@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Signals during a command: one line and the exit status for the first, an end at the next."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from command_line import python
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 LINES = {
@@ -44,15 +49,59 @@ main()
 """
 
 
-def interrupted(body: str, number: signal.Signals) -> None:
+FORKS = """
+import json, os, sys
+from salsanext_cli.commands.line.output import console, interruption
+for line in sys.stdin:
+    request = json.loads(line)
+    process = os.fork()
+    if not process:
+        for stream, path in enumerate(request["streams"], start=1):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+        break
+    print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+else:
+    sys.exit()
+exec(request["code"], {"__name__": "__main__"})
+"""
+"""Runs programs in forks, whose interpreters end as usual: imports take most of a short program."""
+
+
+class Forks:
+    """A process that has imported the command line, and runs programs in forks of it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.streams = [folder / "stdout", folder / "stderr"]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self.server = subprocess.Popen([sys.executable, "-c", FORKS], **pipes)
+
+    def run(self, code: str) -> subprocess.CompletedProcess[str]:
+        """Run a program, and return how it ended."""
+        request = {"code": code, "streams": [*map(str, self.streams)]}
+        self.server.stdin.write(json.dumps(request) + "\n")
+        self.server.stdin.flush()
+        status = int(self.server.stdout.readline())
+        stdout, stderr = (path.read_text("utf-8") for path in self.streams)
+        return subprocess.CompletedProcess(code, status, stdout, stderr)
+
+
+@pytest.fixture(scope="module")
+def forks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Forks]:
+    made = Forks(tmp_path_factory.mktemp("forks"))
+    yield made
+    made.server.communicate()
+    assert made.server.returncode == 0
+
+
+def interrupted(forks: Forks, body: str, number: signal.Signals) -> None:
     """Require that a command with this body ends with one line and the exit status of a signal."""
-    ended = python(COMMAND.replace("BODY", body))
+    ended = forks.run(COMMAND.replace("BODY", body))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
 
 
 @SIGNALS
-def test_a_signal_during_a_command_or_while_commands_are_imported(number):
-    interrupted(f"send({number:d})", number)
+def test_a_signal_during_a_command_or_while_commands_are_imported(forks, number):
+    interrupted(forks, f"send({number:d})", number)
     ended = python(IMPORT.replace("NUMBER", f"{number:d}"))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
 
@@ -74,26 +123,26 @@ def test_a_signal_while_a_library_makes_a_class(number, tmp_path):
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
 
 
-def test_a_signal_that_a_library_ignores_or_turns_into_another_error_counts():
+def test_a_signal_that_a_library_ignores_or_turns_into_another_error_counts(forks):
     body = "\n    try: send(2)\n    except KeyboardInterrupt: raise MissingDependency('a', 'b')"
-    interrupted(body, signal.SIGINT)
-    interrupted("\n    try: send(2)\n    except KeyboardInterrupt: pass", signal.SIGINT)
+    interrupted(forks, body, signal.SIGINT)
+    interrupted(forks, "\n    try: send(2)\n    except KeyboardInterrupt: pass", signal.SIGINT)
 
 
-def test_the_same_signal_twice_lets_the_command_tidy_up(tmp_path):
+def test_the_same_signal_twice_lets_the_command_tidy_up(forks, tmp_path):
     """As `timeout` sends it."""
     tidy = f"os.kill(os.getpid(), 15); open({str(tmp_path / 'tidy')!r}, 'w').close()"
-    interrupted(f"\n    try: send(15)\n    finally: {tidy}", signal.SIGTERM)
+    interrupted(forks, f"\n    try: send(15)\n    finally: {tidy}", signal.SIGTERM)
     assert (tmp_path / "tidy").exists()
 
 
-def test_a_second_signal_ends_the_process_at_once():
+def test_a_second_signal_ends_the_process_at_once(forks):
     body = "\n    try: send(2)\n    finally: time.sleep(1.2); send(15)"
-    ended = python(COMMAND.replace("BODY", body))
+    ended = forks.run(COMMAND.replace("BODY", body))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", "", 143)
 
 
-def test_a_signal_ends_a_forked_process_at_once():
+def test_a_signal_ends_a_forked_process_at_once(forks):
     # A signal that comes before the child has begun is lost.
     body = """
     if not (child := os.fork()):
@@ -103,14 +152,14 @@ def test_a_signal_ends_a_forked_process_at_once():
         time.sleep(0.05)
     print(os.waitstatus_to_exitcode(ended[1]))
 """
-    ended = python(COMMAND.replace("BODY", body))
+    ended = forks.run(COMMAND.replace("BODY", body))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("143\n", "", 0)
 
 
-def test_an_ignored_signal_stays_ignored():
+def test_an_ignored_signal_stays_ignored(forks):
     """As that of a shell that starts a command in the background."""
     ignoring = COMMAND.replace("signal.default_int_handler", "signal.SIG_IGN")
-    ended = python(ignoring.replace("BODY", "os.kill(os.getpid(), 2); print('done')"))
+    ended = forks.run(ignoring.replace("BODY", "os.kill(os.getpid(), 2); print('done')"))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("done\n", "", 0)
 
 
@@ -123,22 +172,22 @@ def test_an_ignored_signal_stays_ignored():
         ("writing('eval', True, at_end=True)", "nothing is finished; no file is incomplete"),
     ],
 )
-def test_the_line_states_what_is_finished(body, line):
+def test_the_line_states_what_is_finished(forks, body, line):
     steps = "" if "no scan" in line else "bar(3, 8);"
     work = f"""
     from salsanext_cli.commands.line.output.progress import writing
     with {body} as bar: {steps} send(2)"""
-    ended = python(COMMAND.replace("BODY", work))
+    ended = forks.run(COMMAND.replace("BODY", work))
     assert ended.stderr.startswith(f"interrupted: {line}")
     assert ended.returncode == 130
 
 
-def test_what_was_finished_before_is_not_stated_again():
+def test_what_was_finished_before_is_not_stated_again(forks):
     work = """
     from salsanext_cli.commands.line.output.progress import writing
     with writing('predict', True) as bar: bar(3, 8)
     send(2)"""
-    interrupted(work, signal.SIGINT)
+    interrupted(forks, work, signal.SIGINT)
 
 
 DROPPED = """
@@ -161,15 +210,15 @@ TRAINING = """
 
 @SIGNALS
 @pytest.mark.parametrize("step", [PROGRESS, TRAINING])
-def test_a_signal_that_python_drops_ends_a_command_at_its_next_step(number, step):
+def test_a_signal_that_python_drops_ends_a_command_at_its_next_step(forks, number, step):
     body = DROPPED.replace("NUMBER", f"{number:d}").replace("    NEXT", step)
-    ended = python(COMMAND.replace("    BODY", body))
+    ended = forks.run(COMMAND.replace("    BODY", body))
     (line,) = ended.stderr.splitlines()
     assert line.startswith(LINES[number].partition(":")[0])
     assert ended.returncode == 128 + number
 
 
-def test_other_errors_that_python_drops_are_printed():
+def test_other_errors_that_python_drops_are_printed(forks):
     body = """
     import weakref
     class Thing: pass
@@ -177,7 +226,7 @@ def test_other_errors_that_python_drops_are_printed():
     reference = weakref.ref(thing, lambda _: 1 / 0)
     del thing
     """
-    ended = python(COMMAND.replace("    BODY", body))
+    ended = forks.run(COMMAND.replace("    BODY", body))
     assert "ZeroDivisionError" in ended.stderr
 
 
