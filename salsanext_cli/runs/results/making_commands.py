@@ -19,6 +19,7 @@ from salsanext_cli.runs.results.repeated_settings import (
 )
 from salsanext_cli.runs.results.scan_arguments import are_moved, scan_arguments
 from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.selection import data_set_of
 
 WITHOUT_NOISE = "none"  # Value of `UncertaintyMethod.aleatoric`
 
@@ -65,6 +66,8 @@ class MakingCommand:
             words += arguments.sources
             settings += arguments.settings()
             settings += settings_of_run(Manifest(out), self.omitted)
+        elif are_moved(out, scans):
+            settings.append(setting("dataset", data_set_of(scans[0]) or scans[0].path.parent))
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
         sampled = Manifest(out).settings("uncertainty") if self.stage == "uncertainty" else None

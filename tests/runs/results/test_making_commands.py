@@ -25,6 +25,7 @@ from salsanext_cli.runs.results.making_commands import (
     MakingCommand,
     making_hint,
 )
+from salsanext_cli.runs.results.manifest import Manifest, ScanSource, StageRecord
 from salsanext_cli.runs.results.merged_labels import hint_for_error
 from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.provenance import Provenance
@@ -91,6 +92,24 @@ def test_results_of_moved_scans_are_made_in_another_folder(world, tmp_path):
     with spelled(CommandLine()):
         refused = PREDICT.text(world.out, find_scans(moved), target=world.out)
     called(*shlex.split(refused)[1:], status=1)
+
+
+@pytest.mark.parametrize("folder", ["sequences/00/velodyne", "plain"])
+def test_moved_scans_are_fused_where_they_are(tmp_path, folder):
+    path = tmp_path / "old data" / folder / "000000.bin"
+    path.parent.mkdir(parents=True)
+    path.touch()
+    (scan,) = find_scans(path)
+    source = ScanSource(str(path.parent), {"000000": ".bin"})
+    record = StageRecord(stage="predict", settings={}, scans={scan.sequence: source})
+    (tmp_path / "out").mkdir()
+    Manifest(tmp_path / "out").write(record)
+    assert words_of(FUSE, tmp_path / "out", [scan]) == ["salsanext", "fuse", str(tmp_path / "out")]
+    moved = (tmp_path / "old data").rename(tmp_path / "new data")
+    (scan,) = find_scans(moved / folder / "000000.bin")
+    words = words_of(FUSE, tmp_path / "out", [scan])
+    data_set = moved if folder != "plain" else moved / folder
+    assert words[2:] == [str(tmp_path / "out"), "--dataset", str(data_set)]
 
 
 def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):
