@@ -64,7 +64,7 @@ class RunWarnings:
 
     def names_by_code(self) -> dict[str, set[str]]:
         """Return the names of the scans with each warning, those of earlier runs too, by code."""
-        names = {code: {*of_code} for code, of_code in self.earlier.items()}
+        names = {code: {*earlier} for code, earlier in self.earlier.items()}
         for code, findings in self.findings.items():
             names.setdefault(code, set()).update(name for name, _ in findings)
         return names
