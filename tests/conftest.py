@@ -95,7 +95,7 @@ def drawn_alike() -> Iterator[None]:
 @pytest.fixture
 def workers_in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let workers be copies of the task in this process, which has the patches of the test."""
-    from works import attempts_in_process
+    from worker_tasks import attempts_in_process
 
     monkeypatch.setattr("salsanext_cli.runs.loop.pool.attempts_of_workers", attempts_in_process)
 
@@ -125,14 +125,14 @@ def full_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def weights(full_weights: Path) -> Path:
-    """Return the same file, or one of a network of few channels, as `narrow.py` has it."""
+    """Return the same file, or one of a network of few channels, as `narrow_network.py` has it."""
     return full_weights
 
 
 @pytest.fixture
 def narrow_weights(tmp_path: Path) -> Iterator[Path]:
     """Return weights of few channels, which salsanext has as long as the test runs."""
-    from narrow import narrow_salsanext
+    from narrow_network import narrow_salsanext
     from scans import write_weights
 
     with narrow_salsanext():
@@ -171,7 +171,7 @@ def small_slices(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw no plots of results and no pixels of figures, which take tenths of a second."""
-    from undrawn import draw_no_results
+    from picture_stubs import draw_no_results
 
     draw_no_results(monkeypatch)
 
@@ -193,8 +193,8 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def tiny_training(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Train a tiny network; its epochs are drawn, which takes longer, if a test is `drawn`."""
+    from picture_stubs import draw_no_epochs
     from tiny_network import TinyNetwork
-    from undrawn import draw_no_epochs
 
     from salsanext_cli.core.network.registry import ARCHITECTURES
 

@@ -17,7 +17,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import plyfile
 import pytest
-from evaluated import CAR, ROAD, World
+from evaluation_runs import CAR, ROAD, World
 from scans import make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli import Scan, label_space, read_labels, write_labels

@@ -207,7 +207,8 @@ def files_of_test(path: Path) -> set[Path]:
     fixtures = [folder / "conftest.py" for folder in folders]
     files = {path, *(file for file in fixtures if file.is_file())}
     words = {name.partition(".")[0] for name in imported_names(path)}
-    return files | {TESTS / f"{word}.py" for word in words if (TESTS / f"{word}.py").is_file()}
+    helpers = {TESTS / f"helpers/{word}.py" for word in words}
+    return files | {helper for helper in helpers if helper.is_file()}
 
 
 def imported_names(path: Path) -> set[str]:

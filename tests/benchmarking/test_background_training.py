@@ -8,7 +8,7 @@ import json
 import pytest
 from command_line import called
 from scans import SMALL, write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from benchmarks.weights import background_training, drive_scores, scene_pool
 from benchmarks.weights.scene_pool import KINDS, ScenePool, write_scene

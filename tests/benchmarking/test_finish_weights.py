@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scans import SMALL, salsanext_of, write_sequence
-from shallow import SHALLOW
+from shallow_network import SHALLOW
 from tiny_network import TinyNetwork
 
 from benchmarks.weights import default_weights, finish_weights

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import called
-from narrow import narrow, once_predicted, predicted, weights  # noqa: F401
+from narrow_network import narrow, once_predicted, predicted, weights  # noqa: F401
 from scans import add_housing, write_sequence
 from typer.testing import Result
 from world import World

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from evaluated import SPACE, calibration_result, ranking_result
+from evaluation_runs import SPACE, calibration_result, ranking_result
 from scans import refused
 
 from salsanext_cli.commands.line.options.option_names import CommandLine

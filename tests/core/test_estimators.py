@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.core.errors import WeightsError

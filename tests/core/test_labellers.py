@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scans import SMALL, make_scan, refused
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import KnnParameters, Scan, knn_refine, load_network, project
 from salsanext_cli.core import labellers

@@ -10,7 +10,7 @@ import pytest
 from command_line import called, every_command, only_json, parsed, subject
 from package_trees import MODULES, PACKAGE, tree_of
 from scans import refused, write_sequence
-from works import name_argument, scans_of
+from worker_tasks import name_argument, scans_of
 
 from salsanext_cli.commands.line.options.option_groups import OPTIONS
 from salsanext_cli.commands.line.options.option_names import OPTION_OF_EXTRA, RECIPE, CommandLine

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from devices import on_both, waits_refused
 from scans import SMALL, make_scan, share_alike, write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 from tiny_network import CLASS_WEIGHTS, batch, learner
 from torch import Tensor
 

@@ -9,7 +9,7 @@ import pytest
 from devices import CUDA, on_both, waits_refused
 from error_models import layers
 from scans import SMALL, make_scan, write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import Network, load_network

@@ -11,7 +11,7 @@ import torch
 from command_line import python
 from devices import CUDA
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import Network, RangeImage, load_network, project
 from salsanext_cli.core.engines import torch_backend

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 from devices import CUDA, on_both, waits_refused
+from scan_stores import maker_of, round_to_half, with_statistics
 from scans import SMALL, write_sequence
-from stored import maker_of, round_to_half, with_statistics
 
 from salsanext_cli import label_space
 from salsanext_cli.commands.stages.train import train

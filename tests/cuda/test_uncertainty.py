@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from devices import CUDA, waits_refused
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import load_network

@@ -9,7 +9,7 @@ import pytest
 import torch
 from devices import CUDA, on_both, waits_refused
 from scans import write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 from unlike_sensors import for_unlike_sensor
 
 from salsanext_cli import load_network

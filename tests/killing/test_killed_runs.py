@@ -177,7 +177,8 @@ JOBS = {job.__name__: job for job in (overwriting, scenes, training, bags)}
 def kills_of(folder: Path, *jobs: str) -> list[int]:
     """Return the numbers of kills of jobs in a new process; ``job:2`` is every second step."""
     here = Path(__file__)
-    folders = (Path(salsanext_cli.__file__).parents[1], here.parents[1], here.parent)
+    tests = here.parents[1]
+    folders = (Path(salsanext_cli.__file__).parents[1], tests, tests / "helpers", here.parent)
     places = os.pathsep.join(map(str, folders))
     done = subprocess.run(
         [sys.executable, str(here), str(folder), *jobs],

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from calls import calls_of
-from evaluated import CAR, ROAD, SPACE, World
+from evaluation_runs import CAR, ROAD, SPACE, World
 
 from salsanext_cli import read_scan
 from salsanext_cli.commands.stages.report import read_run

@@ -6,7 +6,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 from class_colours import CAR, ROAD, SPACE, rgb
-from evaluated import calibration_result, ranking_result, small_space
+from evaluation_runs import calibration_result, ranking_result, small_space
 from matplotlib.image import imread
 
 from salsanext_cli.core.measures.scores import Counts, confusion_matrix, scores

@@ -3,7 +3,7 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from evaluated import calibration_result, ranking_result, small_space
+from evaluation_runs import calibration_result, ranking_result, small_space
 from printed_tables import text_of
 from scans import SMALL
 

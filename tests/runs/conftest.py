@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from map_drives import drive
-from narrow import narrow_salsanext
+from narrow_network import narrow_salsanext
 from scans import SMALL, write_bin, write_weights
 
 from salsanext_cli.commands.stages.predict import predict_scans

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import salsanext_cli
 
-FOLDERS = (Path(salsanext_cli.__file__).parents[1], Path(__file__).parents[1])
+TESTS = Path(__file__).parents[1]
+FOLDERS = (Path(salsanext_cli.__file__).parents[1], TESTS, TESTS / "helpers")
 ENVIRONMENT = {"PYTHONPATH": os.pathsep.join(map(str, FOLDERS)), "OMP_NUM_THREADS": "1"}
 MAX_S = 150
 """Time after which a worker is killed that has not ended."""

@@ -4,10 +4,10 @@ import math
 
 import pytest
 import torch
+from host_waits import META, WaitsRefused
 from scans import SMALL
 from tiny_network import CLASS_WEIGHTS, TinyNetwork, batch, learner
 from torch import Tensor, nn
-from waiting import META, WaitsRefused
 
 from salsanext_cli import label_space
 from salsanext_cli.core.network.card import WeightsCard

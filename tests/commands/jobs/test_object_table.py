@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import load_network
 from salsanext_cli.commands.jobs.object_table import object_table

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import only_json, subject
-from evaluated import CAR, ROAD, World
+from evaluation_runs import CAR, ROAD, World
 from scans import SMALL, labels_below, make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli.core.notices import log_once

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from command_line import only_json, subject
-from evaluated import CAR, ROAD, SPACE, World
+from evaluation_runs import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
 from salsanext_cli.core.geometry.scan_measures import MEASURES

@@ -6,11 +6,11 @@ from io import StringIO
 import numpy as np
 import pytest
 from calls import calls_of
-from evaluated import CAR, ROAD, SPACE, UNKNOWN, World
+from evaluation_runs import CAR, ROAD, SPACE, UNKNOWN, World
 from matplotlib.image import imread
 from rich.console import Console
 from scans import files_below, refused
-from works import attempts_in_process
+from worker_tasks import attempts_in_process
 
 from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.commands.stages.compare import compare

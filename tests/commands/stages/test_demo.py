@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluated import CAR, ROAD, World
+from evaluation_runs import CAR, ROAD, World
 
 from salsanext_cli import read_labels
 from salsanext_cli.commands.stages.demo import Demonstration

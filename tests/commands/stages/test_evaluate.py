@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
+from evaluation_runs import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below, refused
 
 from salsanext_cli.commands.stages.evaluate import evaluate_scans, part_of

@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 import pytest
-from evaluated import CAR, ROAD, SPACE, World
+from evaluation_runs import CAR, ROAD, SPACE, World
 from scans import write_array
 
 from salsanext_cli.commands.stages.evaluate import evaluate_scans

@@ -11,7 +11,7 @@ pytest.importorskip("rosbags")
 
 from bags import KINDS, START, TOPIC, livox, structured, write_bag
 from command_line import only_json
-from evaluated import World
+from evaluation_runs import World
 from labelled_bags import LABELS, NAMES, POINTS, LabelledBag, label_a_file_too, messages_of
 
 from salsanext_cli import label_space, write_labels

@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 
 import pytest
-from meanwhile import require_kept
+from other_program import require_kept
 from scans import SMALL, lively, refused
 
 from salsanext_cli import label_space

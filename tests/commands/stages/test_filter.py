@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from evaluated import World
+from evaluation_runs import World
 from scans import files_below, make_scan, refused, write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels

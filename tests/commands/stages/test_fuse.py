@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from calls import calls_of
 from command_line import called, invoked, only_json
-from fused import fuse
+from fused_arrays import fuse
 from scans import files_below, refused, write_bin
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan

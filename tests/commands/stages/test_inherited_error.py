@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluated import run_of
+from evaluation_runs import run_of
 from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 from world import World

@@ -5,7 +5,7 @@ import numpy as np
 import plyfile
 import pytest
 from calls import calls_of
-from evaluated import CAR, ROAD, SPACE, World
+from evaluation_runs import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
 from salsanext_cli.commands.stages.evaluate import evaluate_scans

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
-from meanwhile import require_kept
+from evaluation_runs import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
+from other_program import require_kept
 from scans import SMALL, refused, write_array
 
 from salsanext_cli import label_space

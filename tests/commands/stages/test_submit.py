@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from meanwhile import require_kept
+from other_program import require_kept
 from scans import make_scan, refused, write_bin
 
 from salsanext_cli import label_space, write_labels

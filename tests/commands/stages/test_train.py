@@ -13,7 +13,7 @@ import torch
 from calls import calls_of
 from safetensors.torch import load_file
 from scans import SMALL, write_sequence
-from shallow import SHALLOW
+from shallow_network import SHALLOW
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_scan, write_labels

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from safetensors.torch import load_file
 from scans import refused, write_weights
-from shallow import shallow  # noqa: F401
+from shallow_network import shallow  # noqa: F401
 from tiny_network import TinyNetwork
 
 from salsanext_cli.commands.stages.predict import predict_range_images, predict_scans

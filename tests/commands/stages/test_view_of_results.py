@@ -10,9 +10,9 @@ from dataclasses import replace
 from http.client import HTTPConnection
 
 import pytest
-from evaluated import CAR, ROAD, SPACE, World
+from background_server import served
+from evaluation_runs import CAR, ROAD, SPACE, World
 from scans import SMALL, refused
-from served import served
 
 from salsanext_cli.commands.stages.report import report, view
 from salsanext_cli.core.errors import UsageError

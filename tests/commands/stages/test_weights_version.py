@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from evaluated import run_of
+from evaluation_runs import run_of
 from world import World
 
 from salsanext_cli.commands.stages.import_weights import import_weights

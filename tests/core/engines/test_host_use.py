@@ -7,9 +7,9 @@ import copy
 import numpy as np
 import pytest
 import torch
+from host_waits import META, WaitsRefused
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
-from waiting import META, WaitsRefused
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import load_network, project
 from salsanext_cli.core.engines.host_use import HostUseRefused

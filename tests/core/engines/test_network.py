@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from scans import SMALL, make_scan, refused, write_weights
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, label_space, load_network, project, sample
 from salsanext_cli.core.classes.merging import ClassMerging

@@ -12,7 +12,7 @@ from typing import ClassVar, get_args
 import numpy as np
 import pytest
 from scans import SMALL, labels_below, make_scan, refused, write_bin
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 import salsanext_cli
 from salsanext_cli import load_network, project

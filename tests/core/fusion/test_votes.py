@@ -6,7 +6,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from fused import fuse
+from fused_arrays import fuse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

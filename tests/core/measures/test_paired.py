@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from evaluated import small_space
+from evaluation_runs import small_space
 from scipy.stats import t
 
 from salsanext_cli.core.measures.paired import (

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
-from evaluated import small_space
+from evaluation_runs import small_space
 from hypothesis import given
 from hypothesis import strategies as st
 from sklearn import metrics

@@ -10,7 +10,7 @@ import pytest
 from devices import on_each_device
 from error_models import layers
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import Network, Scan, load_network
 from salsanext_cli.core.classes.merging import ClassMerging

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from host_waits import WaitsRefused
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 from unlike_sensors import for_unlike_sensor
-from waiting import WaitsRefused
 
 from salsanext_cli import load_network
 from salsanext_cli.core.engines.device_copies import HostCopies

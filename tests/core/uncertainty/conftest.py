@@ -4,7 +4,7 @@
 
 import pytest
 from scans import SMALL, make_scan
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import load_network, project
 

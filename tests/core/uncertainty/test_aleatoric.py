@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from scans import SMALL, refused
-from shallow import slow_on_openvino
+from shallow_network import slow_on_openvino
 
 from salsanext_cli.core.errors import UsageError
 from salsanext_cli.core.geometry.network_input import normalise

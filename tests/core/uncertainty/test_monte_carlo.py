@@ -8,7 +8,7 @@ import pytest
 import torch
 from devices import threads
 from scans import SMALL, make_scan
-from shallow import slow_on_openvino
+from shallow_network import slow_on_openvino
 
 from salsanext_cli import load_network, project, sample
 from salsanext_cli.core.engines.batches import BatchSize

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from meanwhile import require_kept
+from other_program import require_kept
 from scans import lively, refused
 
 from salsanext_cli import load_network

@@ -9,7 +9,7 @@ import numpy as np
 from calls import calls_of
 from rewritten_weights import rewritten
 from scans import refused
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli.commands.stages.models import describe_weights
 from salsanext_cli.core.errors import WeightsError

@@ -11,7 +11,7 @@ import safetensors.torch
 import torch
 from rewritten_weights import rewritten
 from scans import SMALL, lively, refused
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import __version__, label_space
 from salsanext_cli.core.errors import WeightsError

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 from command_line import called
-from narrow import narrow, weights  # noqa: F401
+from narrow_network import narrow, weights  # noqa: F401
 from scans import write_sequence
 
 from salsanext_cli.commands.line.options.option_names import CommandLine

@@ -13,9 +13,9 @@ from urllib.parse import urlencode
 
 import numpy as np
 import pytest
-from evaluated import CAR, ROAD, SPACE, World
+from background_server import served
+from evaluation_runs import CAR, ROAD, SPACE, World
 from scans import SMALL, make_scan, write_bin
-from served import served
 
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.commands.stages.report import report, view

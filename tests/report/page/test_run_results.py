@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Results of a run for its page: rows, facts, clouds."""
 
-from evaluated import run_of
+from evaluation_runs import run_of
 from scans import SMALL, refused
 
 from salsanext_cli import label_space

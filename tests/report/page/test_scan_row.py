@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluated import run_of, small_space
+from evaluation_runs import run_of, small_space
 from hypothesis import given
 from hypothesis import strategies as st
 

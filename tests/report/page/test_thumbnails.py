@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from evaluated import CAR, ROAD, SPACE, World
+from evaluation_runs import CAR, ROAD, SPACE, World
 from matplotlib.image import imread
 from scans import write_array, write_bin
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from scans import SMALL, make_scan, write_bin, write_sequence
 from scipy.special import softmax
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, load_network, project, read_scan, sample
 from salsanext_cli.core.errors import FormatError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from las_files import write_las
 from map_drives import WAY, write_poses
-from narrow import narrow  # noqa: F401
+from narrow_network import narrow  # noqa: F401
 from scans import SMALL
 from street_scans import street
 

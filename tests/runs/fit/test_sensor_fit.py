@@ -23,7 +23,7 @@ PLACE = (-90, 40, 3)
 @pytest.fixture(scope="module")
 def narrow_file(tmp_path_factory):
     """Return weights of few channels."""
-    from narrow import narrow_salsanext
+    from narrow_network import narrow_salsanext
 
     with narrow_salsanext():
         yield write_weights(tmp_path_factory.mktemp("narrow") / "w.safetensors", sensor=SMALL)

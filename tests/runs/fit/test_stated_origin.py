@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from las_files import write_las
 from scans import SMALL, make_scan, write_bin
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli.commands.stages.inspect import inspect
 from salsanext_cli.commands.stages.predict import predict_scans

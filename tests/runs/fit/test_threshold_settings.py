@@ -15,7 +15,7 @@ from salsanext_cli.runs.sensor_request import requested_sensor
 @pytest.fixture(scope="module")
 def narrow_file(tmp_path_factory):
     """Return weights of few channels."""
-    from narrow import narrow_salsanext
+    from narrow_network import narrow_salsanext
 
     with narrow_salsanext():
         yield write_weights(tmp_path_factory.mktemp("narrow") / "w.safetensors", sensor=SMALL)

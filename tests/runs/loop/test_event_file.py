@@ -7,7 +7,7 @@ import threading
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from works import Write, run, scans_of
+from worker_tasks import Write, run, scans_of
 
 from salsanext_cli.core.errors import FormatError, OutputError
 from salsanext_cli.runs.loop.event_file import EventFile, EventLog, opened_events

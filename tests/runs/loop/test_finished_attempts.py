@@ -2,7 +2,7 @@
 """Attempts that a worker wrote are read back, and what is cut off is not."""
 
 import pytest
-from works import scans_of
+from worker_tasks import scans_of
 
 from salsanext_cli.runs.loop.finished_attempts import FinishedAttempts, append_attempt
 from salsanext_cli.runs.loop.job import Attempt

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from devices import threads
 from scans import files_below, write_sequence
-from works import Write, run, scans_of, threads_of_process
+from worker_tasks import Write, run, scans_of, threads_of_process
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty

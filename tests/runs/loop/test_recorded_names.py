@@ -5,7 +5,7 @@
 import shutil
 
 from scans import write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.runs.loop.recorded_names import with_recorded_names

@@ -9,7 +9,7 @@ import threading
 
 import pytest
 from scans import write_sequence
-from works import Write, run, scans_of
+from worker_tasks import Write, run, scans_of
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans

@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: MIT
 """Fixtures of output folders, whose tests ask nothing of the network."""
 
-from narrow import narrow, weights  # noqa: F401
+from narrow_network import narrow, weights  # noqa: F401

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calls import calls_of
-from evaluated import small_space
+from evaluation_runs import small_space
 from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from host_waits import META, WaitsRefused
 from scans import SMALL, write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 from unlike_sensors import for_unlike_sensor
-from waiting import META, WaitsRefused
 
 from salsanext_cli import load_network
 from salsanext_cli.core.engines.device_copies import HostCopies

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from scans import SMALL, write_bin, write_sequence
-from shallow import shallow, weights  # noqa: F401
+from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, knn_refine, load_network, project, read_labels, read_scan
 from salsanext_cli.core.measures.scores import scores

@@ -256,7 +256,7 @@ WORKERS = """
     import joblib
     from pathlib import Path
     from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
-    from works import Write, scans_of
+    from worker_tasks import Write, scans_of
     start = joblib.Parallel.__call__
     def interrupted(self, calls):
         results = start(self, calls)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from command_line import only_json, subject
-from evaluated import CAR, ROAD, World
+from evaluation_runs import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space

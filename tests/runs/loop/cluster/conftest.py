@@ -63,7 +63,9 @@ def cluster_of_head(cores: int) -> Iterator[Any]:
     from ray.cluster_utils import Cluster
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS.parent), str(TESTS), *sys.path]))
+        patch.setenv(
+            "PYTHONPATH", os.pathsep.join([str(TESTS.parent), str(TESTS / "helpers"), *sys.path])
+        )
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         # Otherwise each process of Ray compiles its modules, and agents start too late under load.
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from works import Write, scans_of
+from worker_tasks import Write, scans_of
 
 from salsanext_cli.core import plug_ins, wording
 from salsanext_cli.core.engines import device

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from scans import refused
-from works import Write, run, scans_of
+from worker_tasks import Write, run, scans_of
 
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.io.files.atomic import MARK
@@ -191,14 +191,14 @@ def test_a_run_that_is_ended_keeps_what_is_finished_and_leaves_no_worker(tmp_pat
 ENDLESS = """
 import sys
 from pathlib import Path
-from works import Write, run, scans_of
+from worker_tasks import Write, run, scans_of
 names = [f"{number:02d}" for number in range(40)]
 run(Write(Path(sys.argv[1]), 0.3), scans_of(*names), cluster=sys.argv[2])
 """
 
 
 def test_no_worker_outlives_a_main_process_that_is_killed(tmp_path, cluster):
-    path = os.pathsep.join(map(str, (TESTS.parent, TESTS)))
+    path = os.pathsep.join(map(str, (TESTS.parent, TESTS / "helpers")))
     command = [sys.executable, "-c", ENDLESS, str(tmp_path), cluster.address]
     with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}) as process:
         wait_for(lambda: done(tmp_path))

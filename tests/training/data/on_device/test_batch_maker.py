@@ -9,9 +9,9 @@ from typing import Self
 import numpy as np
 import pytest
 import torch
+from host_waits import META, WaitsRefused
+from scan_stores import maker_of, round_to_half, with_statistics
 from scans import SMALL, real_scans, write_bin, write_sequence
-from stored import maker_of, round_to_half, with_statistics
-from waiting import META, WaitsRefused
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli import sensor as named_sensor

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from stored import CPU
+from scan_stores import CPU
 
 from salsanext_cli.training.data.on_device.batch_random import BatchRandom
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scan_stores import CPU
 from scans import SMALL, refused, write_sequence
-from stored import CPU
 
 from salsanext_cli import label_space
 from salsanext_cli.core.errors import TrainingError

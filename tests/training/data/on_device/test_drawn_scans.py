@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from stored import batch_random
+from scan_stores import batch_random
 
 from salsanext_cli.training.data.on_device.drawn_scans import draw_partners, draw_scans
 from salsanext_cli.training.recipe import Recipe

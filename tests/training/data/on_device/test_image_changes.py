@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from stored import batch_random
+from scan_stores import batch_random
 
 from salsanext_cli.core.geometry import row_gaps
 from salsanext_cli.training.data import other_sensors

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from stored import CPU
+from scan_stores import CPU
 
 from salsanext_cli.training.data.on_device.lookahead import batches_ahead
 

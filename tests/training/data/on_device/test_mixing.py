@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 import torch
+from scan_stores import CPU, batch_random, stored
 from scans import SMALL, make_scan
-from stored import CPU, batch_random, stored
 
 from salsanext_cli.training.data.augment import CLEAR_RADIUS_M, PASTED_COPIES, Checkerboard
 from salsanext_cli.training.data.on_device.drawn_scans import DrawnScans

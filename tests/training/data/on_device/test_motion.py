@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 import torch
+from scan_stores import CPU, batch_random, stored
 from scans import make_scan
-from stored import CPU, batch_random, stored
 
 from salsanext_cli import Scan
 from salsanext_cli.training.data import augment as one_scan

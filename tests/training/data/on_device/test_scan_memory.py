@@ -3,9 +3,9 @@
 
 import pytest
 import torch
+from host_waits import META, WaitsRefused
+from scan_stores import CPU
 from scans import refused
-from stored import CPU
-from waiting import META, WaitsRefused
 
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.notices import NOTICE

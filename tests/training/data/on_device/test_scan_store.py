@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 from calls import calls_of
+from scan_stores import CPU
 from scans import SMALL, make_scan, refused, write_sequence
-from stored import CPU
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.core.errors import SalsanextError, TrainingError

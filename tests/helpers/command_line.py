@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 
 from salsanext_cli.commands.line.app import app
 
-PAGE_OF_JSON = Path(__file__).parents[1] / "docs/reference/json.md"
+PAGE_OF_JSON = Path(__file__).parents[2] / "docs/reference/json.md"
 
 
 @contextmanager

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Files of a version that later versions read; ``python tests/compatible.py`` writes today's."""
+"""Files of a version that later versions read; run this file to write those of today."""
 
 import shutil
 from functools import partial
@@ -12,7 +12,7 @@ from typer.testing import Result
 
 from salsanext_cli.version import __version__
 
-DATA = Path(__file__).parent / "data" / "compat"
+DATA = Path(__file__).parents[1] / "data" / "compat"
 FEW = {"context_width": 4, "widths": (4, 4, 4, 4, 4), "decoder_widths": (4, 4, 4, 4)}
 WEIGHTS, SCANS, OUT = "weights.safetensors", "data", "out"
 few_channels = partial(salsanext_of, **FEW)  # So that weights are small
