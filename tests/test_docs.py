@@ -318,6 +318,7 @@ HELPERS = {
     "core/geometry/ground.py",
     "core/geometry/point_sample.py",
     "core/geometry/row_gaps.py",
+    "core/geometry/sectors.py",
     "core/geometry/scan_traits.py",
     "core/geometry/sensor_frame.py",
     "core/checks/finding.py",

@@ -137,7 +137,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/scans/scan_file.py": "runs/scans/test_scan_search.py",
         "runs/summary/run_counts.py": "runs/summary/test_scan_summary.py",
         "runs/summary/run_summary.py": "runs/summary/test_scan_summary.py",
-        "runs/summary/run_warnings.py": "runs/summary/test_scan_summary.py",
+        "runs/summary/run_findings.py": "runs/summary/test_scan_summary.py",
         "runs/fit/mixed_sensors.py": "runs/summary/test_scan_summary.py",
         "runs/loop/cluster/calls.py": "runs/loop/cluster/test_driver.py",
         "runs/loop/cluster/crew.py": "runs/loop/cluster/test_driver.py",

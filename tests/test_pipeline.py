@@ -135,7 +135,7 @@ def test_noise_is_a_warning(real_data, tmp_path, classes):
     write_bin(tmp_path / "scans/noisy.bin", replace(scan, points=scan.points + noise))
     settings = NetworkSettings(classes=label_space(classes) if classes else None)
     outcome = predict_scans(tmp_path / "scans", tmp_path / "out", settings=settings)
-    doubted = {warning.code: warning.scans for warning in outcome.summary.warnings.by_code()}
+    doubted = {warning.code: warning.scans for warning in outcome.summary.warnings()}
     assert doubted == {code: ["scans/noisy"] for code in ("low-confidence", "noisy")}
 
 
@@ -143,7 +143,7 @@ def test_noise_is_a_warning(real_data, tmp_path, classes):
 def test_a_hall_has_labels_of_low_confidence(real_data, tmp_path):
     (scan,) = (real_data / "data/reported/indoor/pandar64_hall").iterdir()
     outcome = predict_scans(scan, tmp_path / "out")
-    assert "low-confidence" in {warning.code for warning in outcome.summary.warnings.by_code()}
+    assert "low-confidence" in {warning.code for warning in outcome.summary.warnings()}
 
 
 @pytest.mark.real

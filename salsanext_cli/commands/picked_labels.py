@@ -78,7 +78,7 @@ def label_picked_scans(
         class_count=summary.space.class_count,
         expected=expected,
         doubtful=doubtful_share(out),
-        warned={warning.code: warning.scans for warning in summary.warnings.by_code()},
+        warned={warning.code: warning.scans for warning in summary.warnings()},
     )
     accuracy = expected.accuracy if expected else None
     return PickedLabels(

@@ -185,7 +185,7 @@ def _inspect(
         sensor=sensor,
         space=space or space_of(scans),
         failures=outcome.failures,
-        warnings=summary.finished().warnings.by_code(),
+        warnings=summary.finished().warnings(),
     )
 
 

@@ -232,7 +232,7 @@ def _chosen(task: NetworkTask, prepared: PreparedPick, options: RunOptions) -> P
         settings=settings_json(prepared.settings),
         picked=_picked(described, prepared.labelled, prepared.settings),
         failures=[failure.to_dict() for failure in failures],
-        warnings=summary.finished().warnings.by_code(),
+        warnings=summary.finished().warnings(),
         scale=_scale(described, network.space) if described else None,
     )
 

@@ -27,7 +27,7 @@ def recorded_summary(
     scans : sequence of ScanFile
         Scans of the run, whose earlier findings count.
     """
-    summary.warnings.out = run.root
+    summary.findings.out = run.root
     try:
         yield
     finally:
@@ -40,7 +40,7 @@ def recorded_summary(
 def _findings_by_name(summary: RunSummary) -> dict[str, list[Finding]]:
     """Return the findings of a summary by name of scan or sequence."""
     by_name: dict[str, list[Finding]] = {}
-    for findings in summary.warnings.findings.values():
+    for findings in summary.findings.by_code.values():
         for name, finding in findings:
             by_name.setdefault(name, []).append(finding)
     return by_name
@@ -56,6 +56,6 @@ def _add_earlier(
     names_of_run = {file.name for file in scans}
     for name in sorted(earlier.keys() & run.names_of_results(earlier)):
         for finding in earlier[name]:
-            summary.warnings.earlier.setdefault(finding.code, []).append(name)
+            summary.findings.earlier.setdefault(finding.code, []).append(name)
             if name in names_of_run:
-                summary.warnings.add(name, finding)
+                summary.findings.add(name, finding)

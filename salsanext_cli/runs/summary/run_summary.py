@@ -21,8 +21,9 @@ from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.selection import space_of_labels
 from salsanext_cli.runs.summary.run_counts import RunCounts
-from salsanext_cli.runs.summary.run_warnings import RunWarnings
+from salsanext_cli.runs.summary.run_findings import RunFindings
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
+from salsanext_cli.runs.summary.scan_warnings import ScanWarning
 from salsanext_cli.runs.summary.threshold_scans import ThresholdComparison, TraitSample
 
 
@@ -38,7 +39,7 @@ class RunSummary:
     threshold: RiskThreshold | None = None  # Threshold of the run, whose scans these should be like
     trained: Sensor | None = None  # Sensor of the weights, if they labelled the scans
     counts: RunCounts = field(default_factory=RunCounts)
-    warnings: RunWarnings = field(default_factory=RunWarnings)
+    findings: RunFindings = field(default_factory=RunFindings)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     names: set[str] = field(default_factory=set)  # Names of the added scans and sequences
     # Traits of scans and their labels, to be compared with those of the threshold
@@ -90,7 +91,7 @@ class RunSummary:
         self.names.add(name)
         self.counts.add(scan)
         for finding in scan.check.findings:
-            self.warnings.add(name, finding)
+            self.findings.add(name, finding)
         if scan.traits is not None:
             self.population.add(name, scan.traits)
         if scan.check.traits is not None:
@@ -99,18 +100,18 @@ class RunSummary:
     def add_sequence(self, name: str, findings: Iterable[Finding]) -> None:
         """Add and log reasons to doubt a whole sequence."""
         self.names.add(name)
-        self.warnings.add_of_sequence(name, findings)
+        self.findings.add_of_sequence(name, findings)
 
     def compare_scans(self) -> None:
         """Compare the sensors of the scans added since the last call."""
         for file, finding in mixed_sensors(self.traits).items():
-            self.warnings.add(file.name, finding)
+            self.findings.add(file.name, finding)
         self.traits.clear()
         self._compare_with_threshold()
 
     def _compare_with_threshold(self) -> None:
         """Warn if the scans are evidently not like those that the threshold was chosen on."""
-        is_reported = WarningCode.OTHER_SCANS in self.warnings.findings
+        is_reported = WarningCode.OTHER_SCANS in self.findings.by_code
         if self.threshold is None or self.space is None or not self.names or is_reported:
             return
         compared = ThresholdComparison(
@@ -121,16 +122,20 @@ class RunSummary:
         )
         finding = compared.finding(self.threshold)
         if finding is not None:
-            self.warnings.add_of_all(self.names, finding)
+            self.findings.add_of_all(self.names, finding)
         self.population = TraitSample()
 
     def finished(self) -> RunSummary:
         """Compare the scans, log the number of further warnings, and return the summary."""
         self.compare_scans()
-        self.warnings.log_numbers()
+        self.findings.log_numbers()
         return self
+
+    def warnings(self) -> list[ScanWarning]:
+        """Return a warning for each code, with the text of its first scan and the names of all."""
+        return self.findings.warnings()
 
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Return the estimated accuracy of this run, None if the weights contain no estimate."""
-        warned = self.warnings.names_by_code()
+        warned = self.findings.names_by_code()
         return expected_accuracy(self.accuracy, self.counts.confidences, warned)

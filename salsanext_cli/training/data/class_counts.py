@@ -187,7 +187,7 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarn
         for scan in members:
             summary.add(scan)
         summary.compare_scans()
-    return summary.finished().warnings.by_code()
+    return summary.finished().warnings()
 
 
 def _cached(

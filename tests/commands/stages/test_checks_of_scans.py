@@ -110,7 +110,7 @@ def test_later_runs_repeat_the_warnings(dataset):
     def projected(selection=whole, **options):
         how = RunOptions(**options)
         outcome = project_scans(dataset, out, sensor=UPWARDS, selection=selection, options=how)
-        return outcome.summary.warnings.by_code()
+        return outcome.summary.warnings()
 
     first = projected()
     assert by_code(first) == {"out-of-view": ["00/0", "00/1", "00/2"]}

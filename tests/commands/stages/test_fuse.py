@@ -464,5 +464,5 @@ def test_sequences_are_fused_one_after_the_other_whatever_was_found(world):
     for sequence, codes in (("00", {"apart"}), ("08", set())):
         query = ResultQuery(selection=ScanSelection(sequences=(sequence,)))
         outcome = fuse_results(world.out, query=query)
-        assert outcome.summary.warnings.findings.keys() == codes
+        assert outcome.summary.findings.by_code.keys() == codes
     assert {*OwnedFolder(world.out / "fused", "fuse").findings()} == {"00"}

@@ -80,7 +80,7 @@ def test_labels_are_those_of_separate_folders(mixed, network, apart, tmp_path, c
     assert labels_below(out) == apart
     assert "sensor 1 of 2: 3 scans, such as mixed/0" in caplog.text
     assert "sensor 2 of 2: 2 scans, such as mixed/1" in caplog.text
-    assert "mixed-sensors" not in outcome.summary.warnings.findings
+    assert "mixed-sensors" not in outcome.summary.findings.by_code
     assert predict_scans(mixed, out, settings=network).skipped == 5
     few = UncertaintyMethod(samples=2, aleatoric="none")
     assert uncertainty(mixed, out, settings=network, method=few).done == 5
@@ -148,7 +148,7 @@ def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
     for number in range(40):
         write_bin(tmp_path / f"many/{number:02}.bin", (leaning if number == 1 else level)(number))
     outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
-    names = [name for name, _ in outcome.summary.warnings.findings["mixed-sensors"]]
+    names = [name for name, _ in outcome.summary.findings.by_code["mixed-sensors"]]
     assert names == ["many/01"]
 
 

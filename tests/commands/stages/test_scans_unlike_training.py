@@ -177,7 +177,7 @@ def test_values_that_are_not_intensities_count_as_none(matched_world, tmp_path, 
     expected = labels_below(matched_world.out)
     every = copy_scans(matched_world, tmp_path / "a", ["00", "08"], with_intensity(values))
     outcome = run(matched_world, tmp_path / "all", every)
-    (warning,) = (w for w in outcome.summary.warnings.by_code() if w.code == "no-intensity")
+    (warning,) = (w for w in outcome.summary.warnings() if w.code == "no-intensity")
     assert len(warning.scans) == 3
     assert labels_below(tmp_path / "all") == expected
     run(
@@ -193,7 +193,7 @@ def test_scans_of_another_scale_than_earlier_ones_are_a_warning(matched_world, t
     run(matched_world, source=matched_world.data / "sequences/00")
     large = scaled(matched_world, tmp_path / "large", 255)
     outcome = run(matched_world, source=large / "sequences/08")
-    (warning,) = (w for w in outcome.summary.warnings.by_code() if w.code == "intensity-scale")
+    (warning,) = (w for w in outcome.summary.warnings() if w.code == "intensity-scale")
     assert warning.scans == ["08/000000", "08/000001"]
     raw = replace(matched_world.network, intensity="raw")
     with pytest.raises(OutputError, match=r"\(intensity\)"):
@@ -213,7 +213,7 @@ def test_range_images_without_intensity_are_doubted_as_their_scans_are(matched_w
     steps = tmp_path / "steps"
     project_scans(dark, steps, sensor=SMALL)
     outcome = predict_range_images(steps, steps, settings=matched_world.network)
-    (warning,) = outcome.summary.warnings.by_code()
+    (warning,) = outcome.summary.warnings()
     assert (warning.code, len(warning.scans)) == ("no-intensity", 3)
 
 

@@ -27,8 +27,8 @@ from salsanext_cli.core.network.unit_traits import UnitTraits
 from salsanext_cli.runs.fit.mixed_sensors import mixed_sensors
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.summary import threshold_scans
+from salsanext_cli.runs.summary.run_findings import RunFindings
 from salsanext_cli.runs.summary.run_summary import RunSummary
-from salsanext_cli.runs.summary.run_warnings import RunWarnings
 from salsanext_cli.runs.summary.scan_summary import ScanSummary
 
 SPACE = label_space()
@@ -70,12 +70,12 @@ def test_hints_about_labels_name_the_folder_of_the_run(caplog):
         (None, LABELS_HINT),
         (Path("my out"), f"{LABELS_HINT}: `salsanext report 'my out'`"),
     ):
-        summary = RunSummary(sensor=SMALL, space=SPACE, warnings=RunWarnings(out=out))
-        summary.warnings.add(FILE.name, finding)
-        assert [warning.hint for warning in summary.warnings.by_code()] == [hint]
+        summary = RunSummary(sensor=SMALL, space=SPACE, findings=RunFindings(out=out))
+        summary.findings.add(FILE.name, finding)
+        assert [warning.hint for warning in summary.warnings()] == [hint]
         assert caplog.messages[-1].endswith(f"hint: {hint}")
         # The folder may be moved, so it is not recorded.
-        assert summary.warnings.findings["one-class"] == [(FILE.name, finding)]
+        assert summary.findings.by_code["one-class"] == [(FILE.name, finding)]
 
 
 def test_rejected_labels_do_not_make_one_class_large():
@@ -121,7 +121,7 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     summary = RunSummary(sensor=SMALL)
     for place in order:
         summary.add(scans[place])
-    height, tilted = summary.warnings.by_code()
+    height, tilted = summary.warnings()
     assert (height.message, height.scans) == ("height of 2", ["08/2", "08/5"])
     assert (tilted.message, tilted.scans) == ("tilted of 1", ["08/1", "08/2", "08/4", "08/5"])
 
@@ -239,7 +239,7 @@ def test_a_finished_run_warns_of_mixed_sensors(caplog):
     ):
         summary.add(ScanSummary(file=file, check=ScanCheck(findings=(), traits=of_scan)))
     assert not caplog.messages
-    (warning,) = summary.finished().warnings.by_code()
+    (warning,) = summary.finished().warnings()
     assert (warning.code, warning.scans) == ("mixed-sensors", ["08/000004"])
     assert "such as 08/000000" in caplog.text
 
@@ -296,10 +296,10 @@ def test_findings_of_two_steps_are_those_of_both():
             check = ScanCheck(findings=findings)
             summary.add(ScanSummary(file=file, check=check, confidence=0.8))
     fused.add_sequence("08", [Finding("apart", "2 parts", LABELS_HINT)])
-    predicted.warnings.add_others(fused.warnings)
-    apart, one_class = predicted.warnings.by_code()
+    predicted.findings.add_others(fused.findings)
+    apart, one_class = predicted.warnings()
     assert (apart.code, apart.scans) == ("apart", ["08"])
     assert one_class.scans == ["08/a", "08/b", "08/c"]
     estimate = predicted.expected_accuracy()
     assert (estimate.scans, estimate.withheld) == (1, {"one-class": 3})
-    assert [len(findings) for findings in fused.warnings.findings.values()] == [2, 1]
+    assert [len(findings) for findings in fused.findings.by_code.values()] == [2, 1]

@@ -251,7 +251,7 @@ def _with_fusion(
         fused = fuse_results(out, target, query=ResultQuery(selection=selection), options=options)
     output.print(f"fuse: {counted(fused.done, 'scan')} → {target}")
     if prediction.summary is not None and fused.summary is not None:
-        prediction.summary.warnings.add_others(fused.summary.warnings)
+        prediction.summary.findings.add_others(fused.summary.findings)
     failures = dict.fromkeys((*prediction.failures, *fused.failures))
     return replace(prediction, failures=tuple(failures))
 

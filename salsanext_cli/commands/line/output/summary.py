@@ -78,7 +78,7 @@ def print_summary_and_exit(
             output.print(line)
         if following is not None:
             output.print(f"next: {following}")
-    is_doubtful = outcome.summary is not None and bool(outcome.summary.warnings.findings)
+    is_doubtful = outcome.summary is not None and bool(outcome.summary.findings.by_code)
     exit_with_status(outcome.failures, outcome.missing, failed=strict and is_doubtful)
 
 
@@ -122,7 +122,7 @@ def scans_data(summary: RunSummary, *, has_results: bool) -> dict[str, Any]:
         "largest_classes": summary.counts.largest_classes(summary.space),
         "ego_share": round(summary.counts.ego_share, 4),
         "expected_accuracy": None if expected is None else asdict(expected),
-        "warnings": plain(summary.warnings.by_code()),
+        "warnings": plain(summary.warnings()),
     }
 
 

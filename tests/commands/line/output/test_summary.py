@@ -301,12 +301,12 @@ def test_the_line_of_unlabelled_points_states_their_causes():
 def test_warnings_of_fused_labels_join_those_of_single_scans(tmp_path, monkeypatch):
     predicted, fused = (RunSummary(sensor=SMALL, space=label_space()) for _ in range(2))
     for summary, stem in ((predicted, "a"), (fused, "b")):
-        summary.warnings.add(f"08/{stem}", Finding("one-class", f"{stem} is road", LABELS_HINT))
+        summary.findings.add(f"08/{stem}", Finding("one-class", f"{stem} is road", LABELS_HINT))
     stage = "salsanext_cli.commands.stages.fuse.fuse_results"
     monkeypatch.setattr(stage, lambda *_, **__: outcome_of(fused))
     outcome = PredictOutcome.from_run(outcome_of(predicted))
     output = SimpleNamespace(print=print, quiet=True)
     target = tmp_path / "fused"
     both = _with_fusion(outcome, tmp_path, target, ScanSelection(), RunOptions(), output)
-    (warning,) = both.summary.warnings.by_code()
+    (warning,) = both.summary.warnings()
     assert (warning.message, warning.scans) == ("a is road", ["08/a", "08/b"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Warnings of a run: reasons to doubt its scans, logged as they are found."""
+"""Findings of a run: reasons to doubt its scans, logged as they are found."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True, kw_only=True)
-class RunWarnings:
+class RunFindings:
     """Reasons to doubt scans and sequences of a run."""
 
     # Names and findings of scans and sequences by code
-    findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
+    by_code: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     # Names of scans of earlier runs whose results are in the folder, by code of their warnings
     earlier: dict[str, list[str]] = field(default_factory=dict)
     out: Path | None = None  # Folder of the results, for hints
 
     def __bool__(self) -> bool:
         """Return whether there is a reason to doubt a scan of this run."""
-        return bool(self.findings)
+        return bool(self.by_code)
 
     def add(self, name: str, finding: Finding) -> None:
         """Add a reason to doubt a scan; log it if it is the first of its code."""
-        if finding.code not in self.findings:
+        if finding.code not in self.by_code:
             log_finding(name, finding, self.out)
-        self.findings.setdefault(finding.code, []).append((name, finding))
+        self.by_code.setdefault(finding.code, []).append((name, finding))
 
     def add_of_sequence(self, name: str, findings: Iterable[Finding]) -> None:
         """Add and log reasons to doubt a whole sequence."""
         for finding in findings:
             log_finding(f"sequence {name}", finding, self.out)
-            self.findings.setdefault(finding.code, []).append((name, finding))
+            self.by_code.setdefault(finding.code, []).append((name, finding))
 
     def add_of_all(self, names: Iterable[str], finding: Finding) -> None:
         """Add a reason to doubt all scans of some names; log it once, for the first of them."""
         for name in sorted(names):
             self.add(name, finding)
 
-    def add_others(self, step: RunWarnings) -> None:
+    def add_others(self, step: RunFindings) -> None:
         """Add the findings of a further step on these scans, at most one of each code and name."""
-        for code, findings in step.findings.items():
-            own_findings = self.findings.setdefault(code, [])
+        for code, findings in step.by_code.items():
+            own_findings = self.by_code.setdefault(code, [])
             names = {name for name, _ in own_findings}
             own_findings += [(name, finding) for name, finding in findings if name not in names]
 
     def log_numbers(self) -> None:
         """Log the number of further scans with each warning."""
-        for code, findings in sorted(self.findings.items()):
+        for code, findings in sorted(self.by_code.items()):
             others = sorted(name for name, _ in findings[1:] if "/" in name)
             if others:
                 count = counted(len(others), "more scan")
@@ -65,15 +65,15 @@ class RunWarnings:
     def names_by_code(self) -> dict[str, set[str]]:
         """Return the names of the scans with each warning, those of earlier runs too, by code."""
         names = {code: {*earlier} for code, earlier in self.earlier.items()}
-        for code, findings in self.findings.items():
+        for code, findings in self.by_code.items():
             names.setdefault(code, set()).update(name for name, _ in findings)
         return names
 
-    def by_code(self) -> list[ScanWarning]:
+    def warnings(self) -> list[ScanWarning]:
         """Return a warning for each code, with the text of its first scan and the names of all."""
         warnings = []
-        for code in sorted(self.findings):
-            findings = sorted(self.findings[code], key=itemgetter(0))
+        for code in sorted(self.by_code):
+            findings = sorted(self.by_code[code], key=itemgetter(0))
             first = findings[0][1]
             warnings.append(
                 ScanWarning(
