@@ -218,6 +218,16 @@ def test_every_python_file_begins_with_its_licence():
     assert [path for path, line in first.items() if line != "# SPDX-License-Identifier: MIT"] == []
 
 
+SUFFIXES = {".css", ".html", ".js", ".py", ".safetensors", ".toml", ".yaml"}
+"""Of the files that the wheel packs; those of editors and merges are left behind by mistake."""
+
+
+def test_the_package_has_files_of_its_own_only():
+    packed = (path for path in PACKAGE.rglob("*") if "__pycache__" not in path.parts)
+    others = {path.name for path in packed if path.is_file() and path.suffix not in SUFFIXES}
+    assert others == {"py.typed"}
+
+
 ROOMS_OF_MANY = {"commands", "stages"}
 """One file per command. Ruff counts the statements of functions."""
 MAX_FILES = 20
