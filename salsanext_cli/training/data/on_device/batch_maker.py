@@ -166,8 +166,8 @@ class BatchMaker:
         truth = images[:, TRUTH].byte()
         columns = window_columns(truth, scored, recipe.crop_width, recipe.crop_on_class, random)
         windows = columns_of(images, columns)
-        means = random.put(samples.sensor.means)[:, None, None]
-        stds = random.put(samples.sensor.stds)[:, None, None]
+        statistics = random.put([samples.sensor.means, samples.sensor.stds])
+        means, stds = statistics[..., None, None]
         normal = (windows[:, :TRUTH] - means) / stds
         is_empty = windows[:, RANGE : RANGE + 1] <= 0
         return normal.masked_fill(is_empty, 0), windows[:, TRUTH].byte()
