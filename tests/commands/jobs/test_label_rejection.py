@@ -45,7 +45,7 @@ def test_the_hint_about_another_kind_of_cpu_is_no_option_of_this_one(
 ):
     key = KEY_OF["precision"]
     current_settings = dict.fromkeys(KEY_OF.values()) | {key: current}
-    monkeypatch.setattr(module, "labels_depend_on", lambda *_: current_settings)
+    monkeypatch.setattr(module, "label_settings", lambda *_: current_settings)
     risk = SimpleNamespace(settings={key: tuned})
     network = SimpleNamespace(card=SimpleNamespace(risk=risk), merging=None)
     with pytest.raises(UsageError) as caught:
