@@ -121,7 +121,7 @@ def plan_evaluation(
     results = prepared.results
     missing = results.missing_predictions({*scans} - {*predicted})
     missing.log_error(len(scans), "predictions")
-    plan = RunPlan.from_scans(chosen.results.scans(), predicted, Shard(), lambda scan: False)
+    plan = RunPlan.from_scans(chosen.listed, predicted, Shard(), lambda scan: False)
     return replace(plan, missing=missing)
 
 
@@ -130,6 +130,7 @@ class ChosenScans:
     """Scans of an evaluation."""
 
     results: ResultFolder
+    listed: Sequence[ScanFile]  # All scans of the sequences with results
     scans: Sequence[ScanFile]
     space: LabelSpace  # Classes of the comparison
     part: str  # As of `part_of`
@@ -139,13 +140,15 @@ def _chosen(out: Path, limits: Sequence[ScoreLimit], query: ResultQuery) -> Chos
     """Select scans with results; arguments as of `evaluate`."""
     results = ResultFolder(out, query.dataset)
     unlimited = replace(query.selection, limit=None)
-    scans, space = results.predicted(unlimited, query.label_space, query.classes)
+    listed = results.scans()
+    scans, space = results.selected(listed, unlimited, query.label_space, query.classes)
     require_classes(limits, space)
     return ChosenScans(
         results=results,
+        listed=listed,
         scans=scans[: query.selection.limit],
         space=space,
-        part=part_of(results, scans, query.selection),
+        part=part_of(listed, scans, query.selection),
     )
 
 
@@ -298,13 +301,15 @@ def _nothing_predicted(out: Path, count: int) -> NoInputError:
     return NoInputError(out, problem, hint=hint)
 
 
-def part_of(folder: ResultFolder, chosen: Sequence[ScanFile], selection: ScanSelection) -> str:
+def part_of(
+    listed: Sequence[ScanFile], chosen: Sequence[ScanFile], selection: ScanSelection
+) -> str:
     """Return a name for a part of the scans with results, such as ``08,10-first-5``.
 
     Parameters
     ----------
-    folder : ResultFolder
-        Output folder.
+    listed : sequence of ScanFile
+        All scans of the sequences with results.
     chosen : sequence of ScanFile
         Scans of the selected split or sequences, whatever the limit.
     selection : ScanSelection
@@ -317,7 +322,7 @@ def part_of(folder: ResultFolder, chosen: Sequence[ScanFile], selection: ScanSel
     """
     limit = selection.limit
     scans = chosen[:limit]
-    total = chosen if selection.split else folder.scans()
+    total = chosen if selection.split else listed
     name = ",".join(sorted({scan.sequence for scan in scans}))
     if len(os.fsencode(name)) > MAX_PART_BYTES:
         digest = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]

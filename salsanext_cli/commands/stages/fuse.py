@@ -184,7 +184,6 @@ def _prepared(
         raise UsageError("TARGET", f"{target} has the labels of single scans", "another folder")
     fusible = fusible_results(out, query)
     warn_without_movable_classes(fusible.space)  # Here, not in each worker
-    listed = fusible.results.scans()
     stop = options.on_error == "stop"
     # Other shards compute the drives of their sequences.
     sequences = sequences_of(options.shard.select(fusible.scans))
@@ -194,7 +193,7 @@ def _prepared(
         votes=PreparedRun(
             out=out,
             stage="fuse",
-            listed=listed,
+            listed=fusible.listed,
             scans=fusible.scans,
             recorded=fusible.settings_of_votes(reach),
             folders=FOLDERS_OF_VOTES,
@@ -203,7 +202,7 @@ def _prepared(
         labels=PreparedRun(
             out=target,
             stage="fuse",
-            listed=listed,
+            listed=fusible.listed,
             scans=fusible.scans,
             recorded=fusible.settings_of_labels(reach, target),
             folders=(*FOLDERS_OF_VOTES, "predictions"),

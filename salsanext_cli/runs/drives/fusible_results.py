@@ -35,6 +35,7 @@ class FusibleResults:
     """Labels and softmax of single scans that can be fused."""
 
     results: ResultFolder
+    listed: Sequence[ScanFile]  # All scans of the sequences with results
     scans: Sequence[ScanFile]  # Selected scans with labels and softmax
     members: Mapping[str, Sequence[ScanFile]]  # All scans with both in the order of the drive
     space: LabelSpace
@@ -145,6 +146,7 @@ def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     missing.log_error(len(selected), "softmax and labels")
     return FusibleResults(
         results=results,
+        listed=all_scans,
         scans=[file for file in selected if file in fusible],
         members=_in_order_of_drives(with_softmax),
         space=space,

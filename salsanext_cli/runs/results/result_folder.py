@@ -192,16 +192,16 @@ class ResultFolder:
         classes: LabelSpace | None = None,
     ) -> tuple[list[ScanFile], LabelSpace]:
         """Select scans; return them and the classes of the comparison (see `compared_space`)."""
-        return self._selected(self.scans(), selection, space, classes)
+        return self.selected(self.scans(), selection, space, classes)
 
-    def _selected(
+    def selected(
         self,
         scans: list[ScanFile],
         selection: ScanSelection,
-        space: LabelSpace | None,
-        classes: LabelSpace | None,
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
     ) -> tuple[list[ScanFile], LabelSpace]:
-        """Select some of the scans of the sequences with results, as `predicted`."""
+        """Select some of the scans that `scans` found, as `predicted`."""
         space = self.provenance.compared_space(scans, space, classes, other_ids=True)
         if selection.split:
             space = with_splits(space, data_set_of(scans[0]))
@@ -219,7 +219,7 @@ class ResultFolder:
         limit = query.selection.limit
         unlimited = replace(query.selection, limit=None)
         listed = self.scans()
-        chosen, space = self._selected(listed, unlimited, query.label_space, query.classes)
+        chosen, space = self.selected(listed, unlimited, query.label_space, query.classes)
         self.provenance.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:

@@ -9,10 +9,16 @@ import yaml
 from evaluation_runs import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below, refused
 
-from salsanext_cli.commands.stages.evaluate import evaluate_scans, part_of
+from salsanext_cli.commands.stages.evaluate import (
+    evaluate,
+    evaluate_scans,
+    part_of,
+    plan_evaluation,
+)
 from salsanext_cli.core.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.runs.results.output_paths import output_path
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
+from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
@@ -162,30 +168,40 @@ def test_scores_of_each_scan_and_sequence(world):
     assert [data["by_sequence"][name]["accuracy"] for name in ("08", "09")] == [3 / 4, 0]
 
 
+def test_scans_that_are_gone_are_named_once(world, caplog):
+    for stem in ("000000", "000001"):
+        world.add(stem, [CAR], [CAR])
+    find_scans(world.dataset)[0].path.unlink()
+    for run in (evaluate, plan_evaluation):
+        run(world.out, query=ResultQuery(world.dataset))
+        assert caplog.text.count("1 scan with results skipped") == 1
+        caplog.clear()
+
+
 def test_a_part_is_evaluated_in_a_folder_below(world):
     world.add("000000", [CAR], [CAR], "08")
     world.add("000000", [ROAD], [CAR], "09")
     world.evaluate()
     before = {name: (world.out / name).read_bytes() for name in ("scores.txt", "eval.json")}
     scans = find_scans(world.dataset)
-    folder = ResultFolder(world.out, world.dataset)
-    part = part_of(folder, scans[:1], ScanSelection(sequences=("08",)))
+    listed = ResultFolder(world.out, world.dataset).scans()
+    part = part_of(listed, scans[:1], ScanSelection(sequences=("08",)))
     evaluation = evaluate_scans(scans[:1], world.out, SPACE, part=part)
     assert evaluation.folder == world.out / "eval/08"
     assert json.loads((world.out / "eval/08/eval.json").read_text())["scores"]["accuracy"] == 1
     assert {name: (world.out / name).read_bytes() for name in before} == before
-    assert part_of(folder, scans, ScanSelection(sequences=("08", "09"))) == ""
-    assert part_of(folder, scans, ScanSelection(limit=1)) == "08-first-1"
-    assert part_of(folder, scans[:1], ScanSelection(split="valid", limit=1)) == ""
+    assert part_of(listed, scans, ScanSelection(sequences=("08", "09"))) == ""
+    assert part_of(listed, scans, ScanSelection(limit=1)) == "08-first-1"
+    assert part_of(listed, scans[:1], ScanSelection(split="valid", limit=1)) == ""
     world.add("000000", [ROAD], [CAR], "08-09")
     scans = find_scans(world.dataset)
-    names = [part_of(folder, some, ScanSelection(limit=9)) for some in (scans[::2], scans[1:2])]
+    names = [part_of(scans, some, ScanSelection(limit=9)) for some in (scans[::2], scans[1:2])]
     assert names == ["08,09-first-9", "08-09-first-9"]
     for number in range(20):
         world.add("000000", [ROAD], [CAR], f"a long name of a sequence {number}")
     scans = find_scans(world.dataset)
     for chosen in (scans[1:], scans[2:]):
-        assert len(part_of(folder, chosen, ScanSelection(sequences=("x",)))) < 60
+        assert len(part_of(scans, chosen, ScanSelection(sequences=("x",)))) < 60
     (world.out / "eval/08/scores.txt").write_text("mine")
     with refused(OutputError, world.out / "eval/08/scores.txt"):
         evaluate_scans(scans[:1], world.out, SPACE, part=part)

@@ -334,6 +334,12 @@ def test_computed_poses_are_written_and_used_again(drive):
     assert files_below(fused_folder(drive)) == before
 
 
+def test_a_scan_that_is_gone_is_named_once(drive, caplog):
+    drive.scan(stem="000002").unlink()
+    fuse_results(drive.out)
+    assert caplog.text.count("1 scan with results skipped") == 1
+
+
 def test_edited_poses_are_neither_used_nor_replaced(drive):
     fuse_results(drive.out)
     path, moved = fused_folder(drive) / "poses.txt", way(3)
