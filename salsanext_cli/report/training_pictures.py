@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -55,17 +55,20 @@ def curve_picture(rows: Sequence[Row]) -> bytes:
     losses = _points_of(rows, "loss")
     loss.plot(*losses, color=BLUE, marker=".", linewidth=1.4)
     loss.set_ylabel("mean loss of the epoch")
-    loss.set_ylim(bottom=0)
+    # With room for the marker of the highest value
+    loss.set_ylim(0, 1.05 * max(losses[1], default=0) or 1)
     scores = canvas.axes_at(figure, *SCORES_PX)
     for key, name, colour in (("accuracy", "accuracy", ORANGE), ("miou", "mean IoU", GREEN)):
         epochs, shares = _points_of(rows, key)
         label = f"{name}, last {percentage(shares[-1])}" if shares else name
-        scores.plot(epochs, [100 * share for share in shares], ".-", color=colour, label=label)
+        percents = [100 * share for share in shares]
+        scores.plot(epochs, percents, ".-", color=colour, label=label, clip_on=False)
     epochs, mious = _points_of(rows, "miou")
     if mious:
         best = int(np.argmax(mious))
         label = f"best mean IoU {percentage(mious[best])}, epoch {epochs[best]:.0f}"
-        scores.plot(epochs[best], 100 * mious[best], "o", color=RED, markersize=8, label=label)
+        marker: dict[str, Any] = {"color": RED, "markersize": 8, "clip_on": False}
+        scores.plot(epochs[best], 100 * mious[best], "o", label=label, **marker)
     else:
         canvas.text_at(figure, SCORES_PX[0] + 90, 190, "no validation yet", 15, canvas.FAINT)
     scores.set_ylabel("validation, points, in %")
