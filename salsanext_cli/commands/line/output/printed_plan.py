@@ -30,8 +30,8 @@ def print_plan(stage: str, plan: "RunPlan", out: Path, output: console.Output) -
 
 
 def _size_text(plan: "RunPlan") -> str:
-    """Return the size of the results, followed by a semicolon; nothing if it is unknown."""
-    if plan.size is None:
+    """Return the size of the results, followed by a semicolon; nothing without any."""
+    if not plan.size:
         return ""
     limit = "at most " if plan.is_limit else ""
     points = ""
