@@ -313,6 +313,7 @@ HELPERS = {
     "io/formats/evidence/column_measures.py",
     "io/formats/evidence/plane_evidence.py",
     "io/formats/evidence/value_types.py",
+    "core/checks/check_sample.py",
     "core/geometry/directions.py",
     "core/geometry/evenness.py",
     "core/geometry/ground.py",

@@ -112,6 +112,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
     PART_OF_ONE_RESULT: {
         "api.py": "test_public.py",
         "core/api.py": "test_public.py",
+        "core/checks/check_sample.py": "core/checks/test_scan_checks.py",
         "core/checks/scan_structure.py": "core/checks/test_structure_checks.py",
         "core/engines/dropout_passes.py": "core/uncertainty/test_monte_carlo.py",
         "core/fitting/ego_fit.py": "core/fitting/test_field_of_view.py",

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.core.checks.check_sample import check_sample
 from salsanext_cli.core.checks.finding import Finding
 from salsanext_cli.core.checks.place_checks import (
     HINT_DIGITS,
@@ -27,11 +28,9 @@ from salsanext_cli.core.checks.structure_checks import (
     accumulated_from_file,
     depth_image_findings,
     structure_findings,
-    survey_hint,
 )
 from salsanext_cli.core.checks.training_checks import SEPARATE_RUN_HINT, training_findings
 from salsanext_cli.core.checks.warning_codes import WarningCode
-from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.geometry.ground import (
     MAX_TILT_DEG,
     TOLERANCE_M,
@@ -39,7 +38,6 @@ from salsanext_cli.core.geometry.ground import (
     Ground,
     ground_of,
 )
-from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.geometry.scan_traits import (
     MIN_TRAIT_POINTS,
     ScanTraits,
@@ -47,7 +45,6 @@ from salsanext_cli.core.geometry.scan_traits import (
     sines_of,
 )
 from salsanext_cli.core.geometry.sectors import occupied_sectors
-from salsanext_cli.core.geometry.sensor_frame import ego_points, in_sensor_frame
 from salsanext_cli.core.geometry.sensor_place import USUAL_HEIGHT_M, origin_in_file
 from salsanext_cli.core.records import Double, FileNotes, Float, Scan
 from salsanext_cli.core.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor, presets
@@ -55,7 +52,6 @@ from salsanext_cli.core.texts import counted, percentage
 from salsanext_cli.core.wording import argument, command, setting
 
 MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
-MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
 MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
@@ -160,34 +156,23 @@ def check_scan(
     FormatError
         If the points are not in metres around a sensor.
     """
-    sample = in_sensor_frame(few_points(scan), sensor)
-    ranges, is_measured = measured_ranges(sample.points)
-    if len(sample) < len(scan) and is_measured.sum() < MIN_TRAIT_POINTS:
-        sample = in_sensor_frame(scan, sensor)
-        ranges, is_measured = measured_ranges(sample.points)
-    _require_metres(source, scan, ranges[is_measured])
-    ego = ego_points(sample.points, sensor)
-    ego_share = len(ego) / max(len(sample), 1)
-    if len(ego):
-        sample = sample.take(np.delete(np.arange(len(sample)), ego))
-        ranges, is_measured = measured_ranges(sample.points)
-    count = int(is_measured.sum())
-    if count < MIN_TRAIT_POINTS:
-        problem = f"has {counted(count, 'point')} with a measurement, too few to check"
+    sample = check_sample(source, scan, sensor)
+    measured = sample.measured
+    if len(measured) < MIN_TRAIT_POINTS:
+        problem = f"has {counted(len(measured), 'point')} with a measurement, too few to check"
         return ScanCheck(findings=(Finding(WarningCode.FEW_POINTS, problem, "give whole scans"),))
-    measured = Scan(sample.points[is_measured], sample.intensity[is_measured])
-    measured_share = count / len(sample)
     sines = sines_of(measured.points)
     no_intensity, bright = intensity_of(measured.points, measured.intensity)
     findings = [
         *_file_findings(scan.notes),
-        *_unit_findings(ranges[is_measured], measured_share, scan.notes),
+        *_unit_findings(sample.ranges, sample.measured_share, scan.notes),
         *_mounting_findings(scan, measured, sines, sensor, _fit_hint(sensor, trained, fit)),
         *depth_image_findings(measured.points, no_intensity),
     ]
     if trained is not None:
         findings += training_findings(bright, no_intensity, sensor, trained, scan.notes.fields)
-    per_point = len(scan) * (1 - ego_share) * measured_share / count
+    measured_points = len(scan) * (1 - sample.ego_share) * sample.measured_share
+    per_point = measured_points / len(measured)
     # The scans of one sensor are compared, also if each has its own origin.
     fitted = replace(sensor, origin=ORIGIN) if sensor.registered else sensor
     traits = ScanTraits.from_sines(sines, bright, per_point, fitted)
@@ -211,33 +196,46 @@ def _mounting_findings(
     `measured` are measured points in the frame of the sensor, `sines` those of their elevations.
     """
     ground = ground_of(measured)
-    misplaced = place_problem(scan, measured, ground, sensor)
-    structure, misplaced = _structure_at_place(scan, sensor, misplaced)
-    is_moved = sensor.name == FITTED_NAME and sensor.origin != ORIGIN and not sensor.registered
-    if is_moved and not _accumulated(structure) and not shows_beams(scan, ground, sensor):
-        structure += accumulated_from_file(scan, sensor)
+    checked = _place_check(scan, measured, ground, sensor)
     yield from _view_findings(measured, sines, sensor, fit)
-    yield from _place_findings(misplaced, sensor, fit)
-    if misplaced is None:
+    yield from _place_findings(checked.problem, sensor, fit)
+    if checked.problem is None:
         yield from _ground_findings(ground, sensor, fit)
-    yield from structure
+    yield from checked.structure
 
 
-def _structure_at_place(
-    scan: Scan, sensor: Sensor, misplaced: PlaceProblem | None
-) -> tuple[list[Finding], PlaceProblem | None]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PlaceCheck:
+    """Doubts about the position of a sensor, and about the structure that is seen from there."""
+
+    problem: PlaceProblem | None
+    structure: tuple[Finding, ...]
+
+
+def _place_check(scan: Scan, measured: Scan, ground: Ground | None, sensor: Sensor) -> _PlaceCheck:
+    """Check the position of a sensor, and the structure of its scan; `ground` is of `measured`."""
+    checked = _structure_at_place(scan, sensor, place_problem(scan, measured, ground, sensor))
+    is_moved = sensor.name == FITTED_NAME and sensor.origin != ORIGIN and not sensor.registered
+    if not is_moved or _accumulated(checked.structure) or shows_beams(scan, ground, sensor):
+        return checked
+    from_file = accumulated_from_file(scan, sensor)
+    return replace(checked, structure=(*checked.structure, *from_file))
+
+
+def _structure_at_place(scan: Scan, sensor: Sensor, problem: PlaceProblem | None) -> _PlaceCheck:
     """Return the signs in the structure of a scan, and what remains of the problem of its place."""
-    at_place = misplaced.sensor if misplaced and misplaced.sensor else sensor
-    structure = list(structure_findings(scan, at_place))
+    at_place = problem.sensor if problem and problem.sensor else sensor
+    structure = tuple(structure_findings(scan, at_place))
     if _accumulated(structure):
         # Several positions have seen the points: no other one has seen all.
-        return structure, None
-    if misplaced is None or misplaced.sensor is not None:
-        return structure, misplaced
+        return _PlaceCheck(problem=None, structure=structure)
+    if problem is None or problem.sensor is not None:
+        return _PlaceCheck(problem=problem, structure=structure)
     # Seen from elsewhere, any scan looks noisy. The position that was fitted to several scans in
     # one is the one that sees the fewest of them behind others.
     in_file = replace(sensor, origin=ORIGIN, up=UP)
-    return _accumulated(structure_findings(scan, in_file)), misplaced
+    accumulated = _accumulated(structure_findings(scan, in_file))
+    return _PlaceCheck(problem=problem, structure=tuple(accumulated))
 
 
 def _accumulated(findings: Iterable[Finding]) -> list[Finding]:
@@ -250,25 +248,6 @@ def _file_findings(notes: FileNotes) -> Iterator[Finding]:
     if notes.missing_points:
         problem = f"lacks {counted(notes.missing_points, 'point')} of those in its header"
         yield Finding(WarningCode.MISSING_POINTS, problem, "the file may be cut off: copy it again")
-
-
-def _require_metres(source: object, scan: Scan, ranges: Double) -> None:
-    """Refuse points without a measurement, or whose ranges (M,) are not those of a sensor."""
-    count = len(scan)
-    if count >= MIN_TRAIT_POINTS and not len(ranges):
-        problem = f"none of its {count} points is a measurement"
-        raise FormatError(source, problem, "finite coordinates around the sensor")
-    if len(ranges) < MIN_TRAIT_POINTS:
-        return
-    median = float(np.median(ranges))
-    least, most = MEDIAN_RANGES_M
-    if median > most and scan.notes.frame != ORIGIN:
-        problem = "is in map coordinates, and its points show no sensor, as in a survey"
-        raise FormatError(source, problem, "scans of a sensor", survey_hint())
-    if not least <= median <= most:
-        expected = "coordinates in metres, with the sensor at the origin"
-        hint = "convert other units; subtract the position of the sensor from map coordinates"
-        raise FormatError(source, f"has a median range of {median:.3g} m", expected, hint)
 
 
 def _unit_findings(ranges: Double, measured_share: float, notes: FileNotes) -> Iterator[Finding]:
