@@ -5,9 +5,11 @@ import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.notices import warn_once
 from salsanext_cli.core.plain_data import MALFORMED, decoded
 from salsanext_cli.core.records import Origin
@@ -16,6 +18,7 @@ from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present, reading
 
 FRAMES = "frames.json"
+EXPECTED = "three finite numbers by scan"
 HINT = (
     'for scans in map coordinates, give three metres by name, as {"000000": [460000, 5430000, 0]}'
 )
@@ -35,16 +38,46 @@ def read_frames(path: Path) -> dict[str, Origin]:
     """Read a file of frames; none if there is no such file.
 
     Other programs give this name to other files. A warning names such a file, which has no frames.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, is not JSON, or has a frame among damaged ones.
     """
     if not present(path):
         return {}
-    with reading(path) as file:
-        content = file.read()
-    try:
-        frames = decoded(dict[str, tuple[float, float, float]], json.loads(content))
-        if not np.isfinite(list(frames.values())).all():
-            raise ValueError("a frame that is not finite")
-    except MALFORMED:
+    content = _content(path)
+    if not _has_frames(content):
         warn_once(log, with_hint(f"{path}: is not a file of frames, and is ignored", HINT))
         return {}
+    try:
+        frames = decoded(dict[str, tuple[float, float, float]], content)
+        if not np.isfinite(list(frames.values())).all():
+            raise ValueError("a frame that is not finite")
+    except (*MALFORMED, OverflowError) as error:
+        raise FormatError(path, "is damaged", EXPECTED, HINT) from error
     return frames
+
+
+def is_ignored(path: Path) -> bool:
+    """Return whether `read_frames` ignores a file, which another program wrote."""
+    return present(path) and not _has_frames(_content(path))
+
+
+def _content(path: Path) -> Any:
+    """Read a JSON file."""
+    with reading(path) as file:
+        text = file.read()
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(path, "is damaged: is not JSON", EXPECTED, HINT) from error
+
+
+def _has_frames(content: Any) -> bool:
+    """Return whether JSON is that of frames, damaged or not: an object with lists of numbers."""
+    return isinstance(content, dict) and (not content or any(map(_has_number, content.values())))
+
+
+def _has_number(value: Any) -> bool:
+    return isinstance(value, list) and any(isinstance(item, int | float) for item in value)

@@ -5,7 +5,7 @@ import pytest
 from scans import refused
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.io.frames import encode_frames, read_frames
+from salsanext_cli.io.frames import encode_frames, is_ignored, read_frames
 
 
 def test_frames_are_read_as_written(tmp_path):
@@ -19,12 +19,9 @@ def test_frames_are_read_as_written(tmp_path):
 @pytest.mark.parametrize(
     "content",
     [
-        *('{"a": [1, 2]}', '{"a": "far"}', '{"a": "123"}', '{"a": 1}', '{"a": [1, 2, NaN]}'),
-        '{"a": [1, 2, 3], "b": [true, false, null]}',
-        *('[{"file": "a.bin", "time": 1.0}]', '{"frames": [[1, 2, 3]]}', "[1, 2, 3]", "3"),
-        *("[", "", "\0", "[" * 20_000),
+        *('{"a": "far"}', '{"a": "123"}', '{"a": 1}', '{"a": []}', "[1, 2, 3]", "3", "[]"),
+        *('[{"file": "a.bin", "time": 1.0}]', '{"frames": [[1, 2, 3]]}'),
     ],
-    ids=range(14),
 )
 def test_other_contents_are_no_frames_and_a_warning_names_the_file(tmp_path, caplog, content):
     path = tmp_path / "frames.json"
@@ -32,6 +29,23 @@ def test_other_contents_are_no_frames_and_a_warning_names_the_file(tmp_path, cap
     for _ in range(2):
         assert read_frames(path) == {}
     assert caplog.text.count(f"{path}: is not a file of frames") == 1
+    assert is_ignored(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *('{"a": [1, 2]}', '{"a": [1, 2, NaN]}', '{"a": [1, null, 2]}', '{"a": [1, 2, 3, 4]}'),
+        *('{"a": [1, 2, 3], "b": [true, false, null]}', '{"a": [1, 2, 3], "b": "far"}'),
+        f'{{"a": [1, 2, 1{"0" * 400}]}}',
+        *('{"a": [1, 2, 3],}', "[", "", "\0", "[" * 20_000),
+    ],
+    ids=range(12),
+)
+def test_damaged_frames_are_refused(tmp_path, content):
+    path = tmp_path / "frames.json"
+    path.write_text(content)
+    refused(FormatError, path, read_frames, path)
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):

@@ -13,7 +13,12 @@ from salsanext_cli.core.records import Origin
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import first_few, with_hint
 from salsanext_cli.io.formats.survey.las_labels import LasLabels, labelled_las
-from salsanext_cli.runs.annotation.map_frames import digest_of_frames, frames_beside, with_frame
+from salsanext_cli.runs.annotation.map_frames import (
+    digest_of_frames,
+    frames_beside,
+    refuse_ignored_frames,
+    with_frame,
+)
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.records.stage_settings import ExportLasSettings
 from salsanext_cli.runs.results.folder_names import PREDICTION_STAGES
@@ -96,6 +101,8 @@ def export_las(
         frames=digest_of_frames(chosen.listed),
     )
     earlier = results.manifest.settings(stage)
+    if isinstance(earlier, ExportLasSettings) and earlier.frames not in (None, settings.frames):
+        refuse_ignored_frames(chosen.listed)
     is_outdated = isinstance(earlier, ExportLasSettings) and not earlier.is_of_inputs_of(settings)
     run = output_run(
         out,

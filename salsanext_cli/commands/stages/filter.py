@@ -22,7 +22,12 @@ from salsanext_cli.io.formats.recording_kinds import kind_of
 from salsanext_cli.io.formats.recordings import files_of, recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
 from salsanext_cli.io.formats.ros.cloud_changes import cloud_subset
-from salsanext_cli.runs.annotation.map_frames import changed_frames, frames_beside, write_frames
+from salsanext_cli.runs.annotation.map_frames import (
+    changed_frames,
+    frames_beside,
+    refuse_ignored_frames,
+    write_frames,
+)
 from salsanext_cli.runs.copies.bag_run import BagOfResults, BagRun, bags_of, is_bag
 from salsanext_cli.runs.copies.filled_folder import begin, foresee
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
@@ -288,13 +293,9 @@ def _prepared(
     _require_one_kind(chosen.scans, bags, query)
     frames = frames_beside(chosen.scans)
     changed = [] if bags else changed_frames(point_filter.owned, chosen.scans, frames)
-    return PreparedFilter(
-        task=point_filter,
-        chosen=chosen,
-        bags=bags,
-        frames=frames,
-        moved={scan for change in changed for scan in change.scans},
-    )
+    moved = {scan for change in changed for scan in change.scans}
+    refuse_ignored_frames(moved)
+    return PreparedFilter(task=point_filter, chosen=chosen, bags=bags, frames=frames, moved=moved)
 
 
 def _require_choice_of_points(

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
+from salsanext_cli.io.frames import FRAMES, HINT, encode_frames, is_ignored, read_frames
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile
@@ -46,16 +47,33 @@ def with_frame(file: ScanFile, scan: Scan, beside: Mapping[ScanFile, Origin]) ->
 
 
 def digest_of_frames(scans: Iterable[ScanFile]) -> str | None:
-    """Return a digest of the files of frames beside scans; None without such files.
+    """Return a digest of the files of frames beside scans; None without frames.
 
     It is of whole files, so that runs on some of the scans have the same.
     """
-    frames = _frames_by_folder(scans)
+    by_folder = _frames_by_folder(scans)
+    frames = {folder: members for folder, members in by_folder.items() if members}
     if not frames:
         return None
     by_name = sorted((folder.parent.name, encode_frames(frames[folder])) for folder in frames)
     content = b"".join(name.encode("utf-8", "surrogateescape") + text for name, text in by_name)
     return hashlib.sha256(content).hexdigest()[:24]
+
+
+def refuse_ignored_frames(scans: Iterable[ScanFile]) -> None:
+    """Refuse scans whose earlier results have frames, if the file beside them is ignored now.
+
+    Without their frames, points in map coordinates would become local ones.
+
+    Raises
+    ------
+    FormatError
+        If another program wrote a file with the name of frames.
+    """
+    for path in sorted(_frame_files(scans).values()):
+        if is_ignored(path):
+            problem = "is not a file of frames, by which earlier results are in map coordinates"
+            raise FormatError(path, problem, "frames", f"{HINT}; without them, move the file away")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,6 +159,11 @@ def _path(owned: OwnedFolder, scan: ScanFile) -> Path:
 
 def _frames_by_folder(scans: Iterable[ScanFile]) -> dict[Path, dict[str, Origin]]:
     """Return the frames in the file of each folder of scans that has one, by stem."""
+    return {folder: read_frames(path) for folder, path in _frame_files(scans).items()}
+
+
+def _frame_files(scans: Iterable[ScanFile]) -> dict[Path, Path]:
+    """Return the existing files of frames beside scans, by folder of scans."""
     folders = {scan.path.parent for scan in scans if scan.path.parent.name == SCAN_FOLDER}
     paths = {folder: folder.with_name(FRAMES) for folder in folders}
-    return {folder: read_frames(path) for folder, path in paths.items() if present(path)}
+    return {folder: path for folder, path in paths.items() if present(path)}

@@ -14,7 +14,7 @@ from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages.export_las import export_las
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.classes.label_space import LabelSpace
-from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.core.errors import FormatError, NoInputError, OutputError
 from salsanext_cli.io.frames import FRAMES, encode_frames
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -125,6 +125,17 @@ def test_clouds_without_a_frame_are_written_again_once_it_is_known(predicted):
         assert export_las(predicted.out).done == 3
         np.testing.assert_allclose(cloud(predicted).header.offsets, [x, 5_330_000, 0])
     assert export_las(predicted.out, query=ResultQuery(selection=ScanSelection(limit=1))).done == 0
+    before = files_below(predicted.out)
+    for content in ('{"000000": [690000, 5330000, NaN]}', "[]"):
+        path.write_text(content)
+        refused(FormatError, path, export_las, predicted.out)
+        assert files_below(predicted.out) == before
+
+
+def test_a_file_of_another_program_does_not_make_clouds_outdated(predicted):
+    export_las(predicted.out)
+    predicted.scan().parent.with_name(FRAMES).write_text("[]")
+    assert export_las(predicted.out).done == 0
 
 
 def test_a_scan_that_is_gone_is_named_once(predicted, caplog):

@@ -171,6 +171,24 @@ def test_a_file_of_the_name_of_frames_loses_no_results(apply, world, tmp_path, c
     assert files_below(tmp_path / "to") == before
 
 
+DAMAGED = '{"000001": [690000, 5330000, NaN]}'
+"""A slip in a file of frames."""
+
+
+@pytest.mark.parametrize("content", [DAMAGED, '{"000001": [1, 2, 3],}', "[]"])
+def test_frames_that_are_damaged_or_gone_to_another_program_lose_no_results(
+    apply, world, tmp_path, content
+):
+    path = world.dataset / "sequences/08" / FRAMES
+    path.write_bytes(encode_frames({"000001": (690_000.0, 5_330_000.0, 0.0)}))
+    apply(drop=["person"])
+    before = files_below(tmp_path / "to")
+    path.write_text(content)
+    for options in (RunOptions(), RunOptions(overwrite=True)):
+        refused(FormatError, path, apply, drop=["person"], options=options)
+        assert files_below(tmp_path / "to") == before
+
+
 def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):
     """All seven points are trees; one is of the housing, one of the vehicle, three are none."""
     points = [[9, 0, 0], [0.5, 0, 0], [-2, 1, -1], [0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0]]
