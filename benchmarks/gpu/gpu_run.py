@@ -139,17 +139,23 @@ def work(options: argparse.Namespace) -> int:
     figures.machine = machine(figures.device)
     figures.write()
     weights = options.weights or default_weights()
+    status = 0
+    is_over = False
     with utilisation(figures.device) as used:
         try:
             with time_limit(options.last):
                 status = measure(options, figures, weights)
         except TimeOverError:
+            is_over = True
             figures.add(f"the part {options.part}", "ended by its time: the rest is missing")
-            status = 0
         except Exception:  # noqa: BLE001 - whatever it is, the log has it
             traceback.print_exc()
             status = 1
     figures.add(f"GPU used by the part {options.part}", mean_text(used), "%")
+    if is_over:
+        # Threads and processes of what was ended may take longer than the grace to end.
+        sys.stdout.flush()
+        os._exit(status)
     return status
 
 
