@@ -24,6 +24,7 @@ from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.folder_names import DISAGREEMENT, FUSED
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_arguments import are_moved
 from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
 from salsanext_cli.runs.scans.selection import scans_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
@@ -187,6 +188,11 @@ def _prepared(
     stop = options.on_error == "stop"
     # Other shards compute the drives of their sequences.
     sequences = sequences_of(options.shard.select(fusible.scans))
+
+    def records_scans(folder: Path) -> bool:
+        # A data set that was moved is named by the user, and its recorded place stays.
+        return query.dataset is None or not are_moved(folder, fusible.scans)
+
     return PreparedFusion(
         fusible=fusible,
         drives_by_poses=fusible.drives_by_poses(sequences, poses, stop=stop),
@@ -198,6 +204,7 @@ def _prepared(
             recorded=fusible.settings_of_votes(reach),
             folders=FOLDERS_OF_VOTES,
             overwrite=options.overwrite,
+            records_scans=records_scans(out),
         ),
         labels=PreparedRun(
             out=target,
@@ -207,6 +214,7 @@ def _prepared(
             recorded=fusible.settings_of_labels(reach, target),
             folders=(*FOLDERS_OF_VOTES, "predictions"),
             overwrite=options.overwrite,
+            records_scans=records_scans(target),
         ),
     )
 

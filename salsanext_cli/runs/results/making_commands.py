@@ -51,7 +51,7 @@ class MakingCommand:
         scans : sequence of ScanFile
             Scans that need the results, if they are known.
         target : Path, optional
-            Folder that the command writes to, by default that of `target`.
+            Folder that the command writes to, by default that of the method `target`.
         overwrite : bool
             Whether the command replaces results.
 

@@ -34,9 +34,12 @@ from salsanext_cli.runs.drives.poses_of_sequence import checked_drive
 from salsanext_cli.runs.loop.run import RunOptions
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.network_settings import NetworkSettings
+from salsanext_cli.runs.results.making_commands import FUSE
+from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
+from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 SPACE = label_space()
@@ -175,6 +178,19 @@ def test_a_second_folder_for_fused_labels_has_a_hint_that_works(drive):
     typed(caught.value.hint)
     assert files_below(drive.out / "other/sequences/08") == first
     assert files_below(fused_folder(drive)) == first
+
+
+def test_results_of_a_moved_data_set_are_fused_by_the_command_of_the_hint(drive, tmp_path):
+    moved = drive.data.rename(tmp_path / "moved")
+    with spelled(CommandLine()):
+        hint = f"`{FUSE.text(drive.out, find_scans(moved))}`"
+    typed(hint)
+    assert [*find_outputs(drive.out / "fused", "predictions")] == [("08", stem) for stem in STEMS]
+    again = fuse_results(drive.out, query=ResultQuery(dataset=moved))
+    assert again.skipped == len(STEMS)
+    called("eval", drive.out / "fused")
+    moved.rename(tmp_path / "moved again")
+    typed(hint.replace(str(moved), f"'{tmp_path / 'moved again'}'"))
 
 
 def test_votes_of_other_scans_are_not_mixed(drive):
