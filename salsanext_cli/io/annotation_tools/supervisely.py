@@ -26,7 +26,7 @@ from salsanext_cli.io.annotation_tools.tool import (
 )
 from salsanext_cli.io.files.json_files import encode_json
 from salsanext_cli.io.files.reading import present, refusing_damage
-from salsanext_cli.io.formats.columns import coordinates
+from salsanext_cli.io.formats.columns import coordinates_of_edited
 from salsanext_cli.io.formats.label_scalars import (
     CLASS_BITS,
     Ids,
@@ -137,7 +137,10 @@ def _read_annotation(path: Path, scan: Scan, space: LabelSpace) -> ToolLabels:
     is_exported = path.parent.name == ANNOTATIONS and present(cloud)
     if not is_exported:
         warn_once(log, with_hint(WITHOUT_CLOUD, HINT_OF_CLOUD))
-    points = coordinates(pcd_columns(cloud), cloud) if is_exported else scan.points
+    if is_exported:
+        points = coordinates_of_edited(pcd_columns(cloud), cloud, scan.notes.frame)
+    else:
+        points = scan.points
     with refusing_damage(path, EXPECTED):
         indices_of_class = _indices_of_classes(read_json_object(path, EXPECTED), path)
     raw_ids = raw_ids_of_names(indices_of_class, space, path)

@@ -107,6 +107,15 @@ def coordinates(columns: Columns, path: Path, frame: Origin = NO_SHIFT) -> Float
         return np.column_stack([_in_metres(numbers[name], m, shift) for name, m, shift in parts])
 
 
+def coordinates_of_edited(columns: Columns, path: Path, frame: Origin) -> Float:
+    """Return the coordinates of an edited cloud in the frame of its scan: (N, 3) float32, metres.
+
+    Tools save a cloud in map coordinates, or in `frame`; float64 values far from 0 are the former.
+    """
+    is_map = frame_of(columns, path) != NO_SHIFT
+    return coordinates(columns, path, frame if is_map else NO_SHIFT)
+
+
 def _in_metres(values: npt.NDArray[Any], metres: float, shift: float) -> Float:
     if metres != 1:
         values = values * np.float64(metres)

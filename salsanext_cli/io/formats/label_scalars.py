@@ -25,7 +25,7 @@ from salsanext_cli.core.texts import quoted, shortened
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.io.files.yaml_toml import read_yaml
 from salsanext_cli.io.formats import FORMATS, errors_of_plug_ins, format_of, suffixes_in_words
-from salsanext_cli.io.formats.columns import Columns, coordinates, frame_of
+from salsanext_cli.io.formats.columns import Columns, coordinates_of_edited
 from salsanext_cli.io.formats.field_names import PREFIX, listed
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 
@@ -89,8 +89,7 @@ class LabelledCloud:
         with errors_of_plug_ins(path):
             columns = form.label_columns(path)
         columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
-        is_map = frame_of(columns, path) != NO_SHIFT
-        points = coordinates(columns, path, frame if is_map else NO_SHIFT)
+        points = coordinates_of_edited(columns, path, frame)
         name = _label_column(columns, scalar, path)
         ids = whole_numbers(columns[name], path, name)
         if scalar is None and form is FORMATS["las"] and name == ASPRS_SCALAR:

@@ -11,6 +11,8 @@ from picked_for_tools import CHANGED, POINTS, SPACE, PickedForTool
 from scans import files_below
 
 from salsanext_cli.core.notices import warn_once
+from salsanext_cli.io.formats.pcd_writing import encode_pcd
+from salsanext_cli.io.frames import FRAMES, encode_frames
 
 SCAN = ("08", "000011")
 NAME = "08_000011.pcd"
@@ -98,6 +100,24 @@ def test_three_changed_labels_of_an_exported_project_come_back_exactly(
     for scan in picked.scans:
         np.testing.assert_array_equal(picked.labels(scan), picked.corrected(scan))
         assert (picked.labels(scan) != picked.before[scan]).sum() == 3
+
+
+def test_a_cloud_of_an_exported_project_may_be_in_map_coordinates(picked, edited):
+    frame = (500_000.0, 5_400_000.0, 47.5)
+    scans = picked.root / "sequences" / SCAN[0]
+    (scans / FRAMES).write_bytes(encode_frames({SCAN[1]: frame}))
+    # The order is that of another cloud, so that the points are compared.
+    points = picked.points(SCAN)[::-1].astype(np.float64) + frame
+    cloud = edited / "map.pcd"
+    edited.mkdir()
+    cloud.write_bytes(encode_pcd(dict(zip("xyz", points.T, strict=True))))
+    ids = picked.corrected(SCAN)[::-1]
+    names = {int(raw): SPACE.labels[int(raw)] for raw in np.unique(ids) if raw}
+    classes = {name: np.flatnonzero(ids == raw).tolist() for raw, name in names.items()}
+    exported(edited, NAME, classes, cloud=cloud)
+    cloud.unlink()
+    assert picked.import_from(edited).failures == []
+    np.testing.assert_array_equal(picked.labels(SCAN), picked.corrected(SCAN))
 
 
 def test_three_changed_labels_of_pcd_files_come_back_exactly(picked):
