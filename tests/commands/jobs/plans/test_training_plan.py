@@ -5,11 +5,17 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from command_line import only_json
+from safetensors.torch import load_file
 from scans import SMALL, files_below, write_sequence
+from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels
-from salsanext_cli.commands.jobs.plans.training_plan import TrainingPlan
+from salsanext_cli.commands.jobs.plans.training_plan import TrainingPlan, _checkpoint_bytes
+from salsanext_cli.training.checkpoint import TrainingState, save_checkpoint
+from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, LAST
 
 pytestmark = pytest.mark.usefixtures("tiny_training")
@@ -56,13 +62,28 @@ def test_a_plan_states_scans_classes_steps_and_size(train, dataset, tmp_path, ch
     run = tmp_path / "run"
     assert len((run / "log.csv").read_text().splitlines()) == 1 + plan["epochs"]
     written = sum((run / name).stat().st_size for name in (BEST, LAST, CHECKPOINT))
-    # The tensors of a tiny network are as small as their names.
+    # The tensors of a tiny network are as small as their names; the next test counts them.
     assert plan["bytes"] == pytest.approx(written, abs=20_000)
     again = only_json(train("--dry-run", **changes))
     assert again["complete"] == 2
     longer = only_json(train("--dry-run", "--epochs", 5, **changes))
     assert (longer["epochs"], longer["complete"]) == (5, 2)
     assert only_json(train("--dry-run", "--overwrite", **changes))["complete"] == 0
+
+
+@pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
+@pytest.mark.parametrize("average", [0.0, 0.9])
+def test_the_size_of_a_checkpoint_is_that_of_its_tensors(tmp_path, optimiser, average):
+    recipe = Recipe(epochs=1, optimiser=optimiser, average=average)
+    learner = Learner(TinyNetwork(3), recipe, torch.ones(3), torch.device("cpu"))
+    images = torch.randn(2, 5, 16, 16)
+    learner.step(images, torch.ones(2, 16, 16, dtype=torch.uint8), 0, 1)
+    save_checkpoint(tmp_path / CHECKPOINT, learner, TrainingState())
+    saved = load_file(tmp_path / CHECKPOINT)
+    # AdamW counts the steps of each parameter, in four bytes.
+    counts = [name for name in saved if name.endswith(".step")]
+    stated = _checkpoint_bytes(learner.module, recipe)
+    assert stated == sum(tensor.nbytes for tensor in saved.values()) - 4 * len(counts)
 
 
 def test_further_data_sets_and_folds_are_stated(train, dataset, tmp_path):
@@ -124,4 +145,5 @@ def test_lines_name_what_is_absent():
     scans, classes, epochs = plan.lines()
     assert scans == "40 scans for training, 0 for validation, 5 of further data sets, 16 simulated"
     assert classes == "scored classes in 16 scans: 1 of 2, without road"
-    assert epochs == "at most 2 epochs of 1 step, 1 done already, after 4 folds of at most as many"
+    trained = "at most 2 epochs of 1 step, 1 done already"
+    assert epochs == f"{trained}, after 4 folds of at most 2 epochs each"
