@@ -77,7 +77,7 @@ def _difference(key: str, before: Any, after: Any) -> str:
         return f"{change} ({argument('ego')})"
     if key == "precision" and is_int8(before) and is_int8(after):
         cpus = f"was computed with {arithmetic_in(before)}, and this CPU has {arithmetic_in(after)}"
-        return f"int8 {cpus} ({argument('precision')})"
+        return f"int8 {cpus}"  # No option changes the CPU
     if key.startswith("origins."):
         return f"`{key.removeprefix('origins.')}` has replaced its results since"
     if isinstance(before, dict) and isinstance(after, dict):

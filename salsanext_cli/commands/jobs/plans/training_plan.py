@@ -40,7 +40,7 @@ class TrainingPlan:
     epochs, done : int
         Number of all epochs, and of finished ones; with folds, of the training on all scans.
     folds : int
-        Number of trainings of the cross-validation, each with as many epochs at most.
+        Number of trainings of the cross-validation, each with at most `epochs` epochs.
     size : int
         Estimated size of weights and checkpoints in the run folder, in bytes.
     """
@@ -154,7 +154,9 @@ class TrainingPlan:
         steps = f"{counted(self.epochs, 'epoch')} of {counted(self.steps, 'step')}"
         epochs = f"{steps}, {self.done:,} done already"
         if self.folds:
-            epochs = f"at most {epochs}, after {counted(self.folds, 'fold')} of at most as many"
+            epochs_of_fold = counted(self.epochs, "epoch")
+            folds = f"{counted(self.folds, 'fold')} of at most {epochs_of_fold} each"
+            epochs = f"at most {epochs}, after {folds}"
         return [scans, f"scored classes in {counted(self.sampled, 'scan')}: {classes}", epochs]
 
 

@@ -303,7 +303,10 @@ def long_chunks_line(queue: ChunkQueue, chunks: Sequence[LongChunk]) -> str:
     first = chunks[0]
     scans = first_few([scan.name for scan in queue.scans(first.number)])
     worker = f"node {first.node}: process {first.process}"
-    others = f" ({counted(len(chunks) - 1, 'other worker')} as long)" if len(chunks) > 1 else ""
+    others = ""
+    if len(chunks) > 1:
+        verb = "has" if len(chunks) == 2 else "have"
+        others = f" ({counted(len(chunks) - 1, 'other worker')} {verb} taken as long)"
     return (
         f"{worker} has worked for {first.seconds / 60:.0f} min on {scans}{others}; "
         "if you end it, other workers get its scans"

@@ -176,7 +176,13 @@ def test_a_chunk_that_takes_long_is_one_line_that_names_the_process_and_the_scan
     with pytest.raises(WorkersLost):
         next(attempts._attempts(driver, driver.messages(), queue, "auto"))
     (line,) = [record.getMessage() for record in caplog.records]
-    for words in ("node n", "process 4711", "16 min", "s/a, s/b", "2 other workers"):
+    for words in (
+        "node n",
+        "process 4711",
+        "16 min",
+        "s/a, s/b",
+        "(2 other workers have taken as long)",
+    ):
         assert words in line
 
 
