@@ -33,7 +33,7 @@ from salsanext_cli.runs.annotation.picked_data_set import (
     UncertaintyScale,
 )
 from salsanext_cli.runs.annotation.scan_description import DescribeJob, ScanDescription
-from salsanext_cli.runs.annotation.tool_files import SensorPositions, write_for_tool
+from salsanext_cli.runs.annotation.tool_files import SensorPositions, require_places, write_for_tool
 from salsanext_cli.runs.loop.network_task import NetworkTask, sampling_task
 from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.network_settings import NetworkSettings
@@ -129,6 +129,7 @@ def pick(
     by_poses = prepared.origins
     with data_set.open():
         record = data_set.earlier(prepared.settings, overwrite=options.overwrite)
+        _require_places(prepared, labelling_tool, record)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
             _add_files_of_tool(prepared, labelling_tool, record)
@@ -142,6 +143,8 @@ def pick(
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
+            # Another run goes on with this choice.
+            _require_places(prepared, labelling_tool, record)
         write = partial(
             PickJob,
             seed=seed,
@@ -187,8 +190,7 @@ def plan_pick(
     SalsanextError
         What the run would refuse.
     """
-    if tool is not None:
-        tool_named(tool)
+    labelling_tool = None if tool is None else tool_named(tool)
     prepared = prepare_pick(
         source,
         out,
@@ -200,7 +202,23 @@ def plan_pick(
         names=names,
     )
     record = prepared.data_set.earlier(prepared.settings, overwrite=options.overwrite)
+    _require_places(prepared, labelling_tool, record)
     return PickPlan.from_prepared(prepared, record)
+
+
+def _require_places(
+    prepared: PreparedPick, tool: AnnotationTool | None, record: PickRecord | None
+) -> None:
+    """Refuse scans with one place in the folder of a tool, if it is known that they are picked."""
+    if tool is None:
+        return
+    picked: Sequence[ScanFile] = []
+    unlabelled = [scan for scan in prepared.scans if scan not in prepared.labelled]
+    if record is not None:
+        picked = prepared.files(record)
+    elif prepared.count == len(unlabelled):
+        picked = unlabelled
+    require_places(tool, [(scan.sequence, scan.stem) for scan in picked])
 
 
 def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:

@@ -2,7 +2,7 @@
 """Picked scans in the form of a labelling tool, in a folder of their data set."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -66,7 +66,7 @@ def write_for_tool(
     scans = [scan for scan in picked if _is_complete(data_set, scan)]
     if not scans:
         return
-    _require_places(tool, scans)
+    require_places(tool, [(scan.sequence, scan.scan) for scan in scans])
     folder = data_set.root / TOOL_FOLDER / tool.name
     space = label_space(data_set.root / LABEL_SPACE)
     _write_missing(data_set, folder, tool.common_files(space))
@@ -87,14 +87,14 @@ def write_for_tool(
         _write_current(data_set, folder, tool.sequence_files(sequence, stems, poses))
 
 
-def _require_places(tool: AnnotationTool, scans: Sequence[PickedScan]) -> None:
-    """Refuse scans that have one place in the folder of a tool."""
-    scan_at: dict[str, PickedScan] = {}
+def require_places(tool: AnnotationTool, scans: Iterable[tuple[str, str]]) -> None:
+    """Refuse scans, by sequence and stem, that have one place in the folder of a tool."""
+    scan_at: dict[str, tuple[str, str]] = {}
     for scan in scans:
-        place = tool.place_of(scan.sequence, scan.scan)
+        place = tool.place_of(*scan)
         other = scan_at.setdefault(place, scan)
         if other is not scan:
-            problem = f"would write {other.name} and {scan.name} to the same files"
+            problem = f"would write {'/'.join(other)} and {'/'.join(scan)} to the same files"
             expected = f"one scan for {tool.name}/{place}"
             hint = "choose another tool, or rename one of the scans and pick again"
             raise UsageError(f"{argument('tool')} {tool.name}", problem, expected, hint)

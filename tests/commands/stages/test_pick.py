@@ -21,7 +21,7 @@ from salsanext_cli import (
     sample,
     write_labels,
 )
-from salsanext_cli.commands.stages.pick import pick
+from salsanext_cli.commands.stages.pick import pick, plan_pick
 from salsanext_cli.core.errors import (
     FormatError,
     NoInputError,
@@ -373,6 +373,18 @@ def test_the_scans_are_also_written_for_a_tool_at_the_first_run_or_later(picked,
     assert sorted(path.name for path in tools.glob("*/*")) == ["08"]
     poses = (tools / "point-labeler/08/poses.txt").read_text()
     assert len(poses.splitlines()) == 2
+
+
+def test_scans_with_one_place_for_a_tool_are_refused_before_they_are_compared(drive, tmp_path):
+    write_sequence(drive.data / "sequences/08", ["1_0"], labels=False)
+    write_sequence(drive.data / "sequences/08_1", ["0"], labels=False)
+    listed = tmp_path / "names.txt"
+    listed.write_text("08/1_0\n08_1/0\n")
+    for how in ({"names": listed}, {"count": 99}):
+        refused(UsageError, "tool sse", run, drive, tool="sse", **how)
+        assert not drive.out.exists()
+        given = {"settings": drive.network, "tool": "sse", **how}
+        refused(UsageError, "tool sse", plan_pick, drive.data, drive.out, **given)
 
 
 def test_an_unknown_tool_is_refused_before_a_scan_is_read(drive):
