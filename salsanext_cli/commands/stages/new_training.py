@@ -21,6 +21,7 @@ from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.sensors.sensor import Sensor
 from salsanext_cli.core.texts import counted
 from salsanext_cli.core.wording import setting
+from salsanext_cli.io.files.atomic import foresee_writable
 from salsanext_cli.io.weights.card_file import default_weights, named_weights, read_card
 from salsanext_cli.runs.annotation.label_records import require_labels
 from salsanext_cli.runs.annotation.las_classification import labels_source
@@ -180,6 +181,7 @@ class NewTraining:
     def plan(self, space: LabelSpace | None, sensor: Sensor | None) -> TrainingPlan:
         """Return what a training would do, and write nothing; arguments as of `setup`."""
         checked = self._checked(space, sensor)
+        foresee_writable(self.run)
         require_replaceable(self.run, checked.settings, overwrite=self.overwrite)
         _require_labels(checked.sources)
         return TrainingPlan.from_sources(

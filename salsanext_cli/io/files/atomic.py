@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.files.reading import present, reason
+from salsanext_cli.io.files.reading import is_folder, present, reason
 
 MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
 """Prefix of the temporary names of a run, by which `sweep` removes those of killed workers."""
@@ -106,6 +106,18 @@ def require_writable(folder: Path) -> None:
         TemporaryFile(dir=folder).close()
     except OSError as error:
         raise refusal(folder, error) from error
+
+
+def foresee_writable(folder: Path) -> None:
+    """Raise `OutputError` if a file or permissions are in the way of a folder; write nothing."""
+    place = next(path for path in (folder, *folder.parents) if present(path))
+    if not is_folder(place):
+        number = errno.ENOTDIR
+    elif not os.access(place, os.W_OK | os.X_OK):
+        number = errno.EACCES
+    else:
+        return
+    raise refusal(folder, OSError(number, os.strerror(number)))
 
 
 def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:

@@ -2,6 +2,7 @@
 """The plan of a training states what the training then does, and changes nothing."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -125,6 +126,18 @@ def test_a_plan_refuses_what_the_training_refuses(train, dataset, tmp_path, faul
     assert files_below(tmp_path) == before
     assert "error" in json.loads(planned)
     assert json.loads(planned) == json.loads(train(status=1, **changes).stdout)
+
+
+@pytest.mark.parametrize("is_file", [True, False])
+def test_a_plan_refuses_a_folder_that_cannot_be_written(train, tmp_path, monkeypatch, is_file):
+    if is_file:
+        (tmp_path / "run").write_text("mine")
+        assert json.loads(train(status=1).stdout)["code"] == "output"
+    else:
+        monkeypatch.setattr(os, "access", lambda _, mode, **__: not mode & os.W_OK)
+    refused = json.loads(train("--dry-run", status=1).stdout)
+    assert refused["code"] == "output"
+    assert refused["error"].startswith(f"{tmp_path / 'run'}: cannot be written")
 
 
 def test_lines_name_what_is_absent():
