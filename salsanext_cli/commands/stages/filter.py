@@ -31,6 +31,7 @@ from salsanext_cli.runs.annotation.map_frames import (
 from salsanext_cli.runs.copies.bag_run import BagOfResults, BagRun, bags_of, is_bag
 from salsanext_cli.runs.copies.filled_folder import begin, foresee
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.folder_names import ERROR, PREDICTION_STAGES
 from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
@@ -84,7 +85,7 @@ def filter_scans(
     -------
     FilterOutcome
     """
-    prepared = _prepared(out, folder, drop, keep, max_error, query)
+    prepared = _prepared(out, folder, drop, keep, max_error, query, options.shard)
     task = prepared.task
     chosen = prepared.chosen
     bags = prepared.bags
@@ -130,7 +131,7 @@ def plan_filter(
     SalsanextError
         What the run would refuse.
     """
-    prepared = _prepared(out, folder, drop, keep, max_error, query)
+    prepared = _prepared(out, folder, drop, keep, max_error, query, options.shard)
     task = prepared.task
     scans = prepared.chosen.scans
     listed = prepared.chosen.listed
@@ -166,7 +167,7 @@ def _filter_files(
     """
     task = _with_foreign_files(task, scans)
     with task.owned.locked_records():
-        _update_frames(task, scans, frames)
+        _update_frames(task, options.shard.select(scans), frames)
 
     def add(scan: WrittenScan) -> None:
         written[scan.file] = scan.counts
@@ -194,6 +195,7 @@ def _update_frames(
     """Write the frames of scans, and remove their outdated files, which are in other frames.
 
     This comes before the first scan, so that an interrupted run leaves none without its frame.
+    `scans`: those of this shard; another one writes the others again, with their frames.
     """
     changed = changed_frames(task.owned, scans, frames)
     outdated = {task.path(scan) for change in changed for scan in change.scans}
@@ -253,7 +255,7 @@ class PreparedFilter:
     bags: Sequence[BagOfResults]  # Of the scans; none for scans in files
     # Of scans that were moved out of a map, metres; read before outdated files are removed
     frames: Mapping[ScanFile, Origin]
-    moved: Collection[ScanFile]  # Scans whose frame is another than that of their copy
+    moved: Collection[ScanFile]  # Scans of the shard whose frame is another than that of their copy
 
 
 def _prepared(
@@ -263,6 +265,7 @@ def _prepared(
     keep: Collection[str],
     max_error: float | None,
     query: ResultQuery,
+    shard: Shard,
 ) -> PreparedFilter:
     """Choose scans and points; arguments as of `filter_scans`."""
     _require_choice_of_points(drop, keep, max_error)
@@ -292,7 +295,8 @@ def _prepared(
     bags = bags_of(chosen.scans)
     _require_one_kind(chosen.scans, bags, query)
     frames = frames_beside(chosen.scans)
-    changed = [] if bags else changed_frames(point_filter.owned, chosen.scans, frames)
+    scans = [] if bags else shard.select(chosen.scans)
+    changed = changed_frames(point_filter.owned, scans, frames)
     moved = {scan for change in changed for scan in change.scans}
     refuse_ignored_frames(moved)
     return PreparedFilter(task=point_filter, chosen=chosen, bags=bags, frames=frames, moved=moved)

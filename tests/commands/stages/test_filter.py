@@ -123,6 +123,21 @@ def test_frames_of_scans_that_are_not_filtered_stay(apply, world, tmp_path):
     assert read_frames(target) == frames | {"000000": (1.0, 2.0, 3.0)}
 
 
+def test_a_shard_changes_frames_of_its_scans_only(apply, world, tmp_path):
+    source = world.dataset / "sequences/08" / FRAMES
+    target = tmp_path / "to/sequences/08" / FRAMES
+    source.write_bytes(encode_frames(dict.fromkeys(("000000", "000001"), (1.0, 2.0, 3.0))))
+    apply(drop=["person"])
+    copies = files_below(target.parent / "velodyne")
+    frames = dict.fromkeys(("000000", "000001"), (4.0, 5.0, 6.0))
+    source.write_bytes(encode_frames(frames))
+    assert apply(drop=["person"], options=RunOptions(shard=Shard(1, 2))).done == 1
+    assert files_below(target.parent / "velodyne") == copies
+    assert read_frames(target) == frames | {"000001": (1.0, 2.0, 3.0)}
+    assert apply(drop=["person"], options=RunOptions(shard=Shard(2, 2))).done == 1
+    assert read_frames(target) == frames
+
+
 def test_frames_that_the_user_edited_are_refused_before_any_result_is_removed(
     apply, world, tmp_path
 ):
