@@ -18,6 +18,7 @@ from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import counted, first_few, with_hint
 from salsanext_cli.core.wording import argument, command, setting
+from salsanext_cli.io.files.reading import bytes_at
 from salsanext_cli.io.formats.recording_kinds import kind_of
 from salsanext_cli.io.formats.recordings import files_of, recording_of
 from salsanext_cli.io.formats.ros.bag_copies import Types
@@ -150,7 +151,7 @@ def plan_filter(
 
         plan = RunPlan.from_scans(listed, scans, options.shard, is_done)
         files = [scan.path for scan in plan.todo]
-    size = sum(file.stat().st_size for file in files)
+    size = sum(map(bytes_at, files))
     return replace(plan, missing=prepared.chosen.missing, size=size, is_limit=True)
 
 

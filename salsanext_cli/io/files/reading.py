@@ -135,6 +135,14 @@ def size_of(file: BufferedReader) -> int:
     return os.fstat(file.fileno()).st_size
 
 
+def bytes_at(path: Path) -> int:
+    """Return the size of a file in bytes; 0 if there is none, or the system refuses to answer."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
 def fingerprint(path: Path) -> str:
     """Return the SHA-256 of the content of a file, hexadecimal."""
     return _fingerprint(path, identity(path))

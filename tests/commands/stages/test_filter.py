@@ -123,6 +123,16 @@ def test_frames_of_scans_that_are_not_filtered_stay(apply, world, tmp_path):
     assert read_frames(target) == frames | {"000000": (1.0, 2.0, 3.0)}
 
 
+def test_a_plan_has_no_size_for_a_scan_that_is_a_dangling_link(world, tmp_path):
+    first = world.dataset / "sequences/08/velodyne/000000.bin"
+    size = first.with_name("000001.bin").stat().st_size
+    first.unlink()
+    first.symlink_to(tmp_path / "gone")
+    query = ResultQuery(world.dataset)
+    plan = plan_filter(world.out, tmp_path / "to", drop=["person"], query=query)
+    assert ([scan.stem for scan in plan.todo], plan.size) == (["000000", "000001"], size)
+
+
 def test_a_shard_changes_frames_of_its_scans_only(apply, world, tmp_path):
     source = world.dataset / "sequences/08" / FRAMES
     target = tmp_path / "to/sequences/08" / FRAMES
