@@ -31,7 +31,7 @@ from salsanext_cli.runs.annotation.map_frames import (
 )
 from salsanext_cli.runs.copies.bag_run import BagOfResults, BagRun, bags_of, is_bag
 from salsanext_cli.runs.copies.filled_folder import begin, foresee
-from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.loop.run_options import Shard
 from salsanext_cli.runs.results.folder_names import ERROR, PREDICTION_STAGES
 from salsanext_cli.runs.results.output_paths import with_outputs
@@ -139,7 +139,10 @@ def plan_filter(
     stays = foresee(task.owned, task.settings, options.overwrite) and not options.overwrite
     if prepared.bags:
         run = _bag_run(task, {})
-        to_copy = run.to_copy(prepared.bags, replace(options, overwrite=not stays), [])
+        failures: list[Failure] = []
+        to_copy = run.to_copy(prepared.bags, replace(options, overwrite=not stays), failures)
+        for failure in failures:
+            log.error("%s: %s", failure.scan.name, failure.text)
         todo = [cloud for clouds in to_copy.clouds.values() for cloud in clouds]
         plan = RunPlan(scans=len(listed), done=to_copy.done, todo=todo)
         files = [file for bag in to_copy.clouds for file in files_of(bag.path)]

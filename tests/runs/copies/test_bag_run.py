@@ -27,7 +27,7 @@ from labelled_bags import (
 
 from salsanext_cli import read_scan, write_labels
 from salsanext_cli.commands.line.output.progress import writing
-from salsanext_cli.commands.stages.filter import filter_scans
+from salsanext_cli.commands.stages.filter import filter_scans, plan_filter
 from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.core.measures.filtered_points import FilteredPoints
 from salsanext_cli.runs.loop.run import RunOptions
@@ -253,6 +253,18 @@ def test_an_interrupted_run_has_the_clouds_of_complete_bags(tmp_path, last, stat
     else:
         assert visible_names(tmp_path / "to") == names
     assert call().done == 6 - last // 3 * 3
+
+
+def test_a_plan_names_the_bags_that_fail_before_they_are_read(tmp_path, caplog):
+    bag = LabelledBag(tmp_path, ".bag")
+    apply_to(bag, tmp_path)()
+    record = tmp_path / "to/.filter.bags.json"
+    record.write_bytes(b"[")
+    plan = partial(plan_filter, bag.out, tmp_path / "to", drop=["car"])
+    query = ResultQuery(bag.topic)
+    assert (plan(query=query).done, plan(query=query).todo) == (0, [])
+    assert f"drive/{NAMES[0]}: {record}: " in caplog.text
+    refused(OutputError, record, plan, query=query, options=STOP)
 
 
 def test_a_shard_has_some_of_the_bags(tmp_path):
