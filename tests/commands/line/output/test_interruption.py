@@ -50,7 +50,7 @@ main()
 
 
 FORKS = """
-import json, os, sys
+import json, os, signal, sys
 from salsanext_cli.commands.line.output import console, interruption
 for line in sys.stdin:
     request = json.loads(line)
@@ -58,6 +58,7 @@ for line in sys.stdin:
     if not process:
         for stream, path in enumerate(request["streams"], start=1):
             os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+        signal.setitimer(signal.ITIMER_REAL, request["max_s"])
         break
     print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
 else:
@@ -65,6 +66,10 @@ else:
 exec(request["code"], {"__name__": "__main__"})
 """
 """Runs programs in forks, whose interpreters end as usual: imports take most of a short program."""
+
+
+MAX_S = 120
+"""Time after which a program is killed that has not ended, such as one that ignores a signal."""
 
 
 class Forks:
@@ -75,9 +80,9 @@ class Forks:
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self.server = subprocess.Popen([sys.executable, "-c", FORKS], **pipes)
 
-    def run(self, code: str) -> subprocess.CompletedProcess[str]:
-        """Run a program, and return how it ended."""
-        request = {"code": code, "streams": [*map(str, self.streams)]}
+    def run(self, code: str, max_s: float = MAX_S) -> subprocess.CompletedProcess[str]:
+        """Run a program, and return how it ended; it is killed after some seconds."""
+        request = {"code": code, "streams": [*map(str, self.streams)], "max_s": max_s}
         self.server.stdin.write(json.dumps(request) + "\n")
         self.server.stdin.flush()
         status = int(self.server.stdout.readline())
@@ -97,6 +102,11 @@ def interrupted(forks: Forks, body: str, number: signal.Signals) -> None:
     """Require that a command with this body ends with one line and the exit status of a signal."""
     ended = forks.run(COMMAND.replace("BODY", body))
     assert (ended.stdout, ended.stderr, ended.returncode) == ("", LINES[number], 128 + number)
+
+
+def test_a_program_that_does_not_end_is_killed(forks):
+    ended = forks.run("import time; time.sleep(30)", max_s=0.1)
+    assert ended.returncode == -signal.SIGALRM
 
 
 @SIGNALS
