@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from bags import START, STEP, messages, structured, write_bag
 from command_line import only_json, subject
 from scans import files_below
 
@@ -98,6 +99,8 @@ def typed(run, data, weights, tmp_path):
         "STATIC": tmp_path / "static",
         "OTHER": tmp_path / "other",
         "EVENTS": tmp_path / "events.jsonl",
+        "@LIST": f"@{tmp_path / 'list.txt'}",
+        "BAG": tmp_path / "drive.bag",
     }
     folder = data / "sequences/08"
     shutil.copy(folder / "velodyne/000000.bin", folder / "velodyne/000001.bin")
@@ -148,6 +151,40 @@ def test_every_plan_counts_the_scans_that_the_run_then_does(typed, tmp_path, nam
     # `filter` states the size with all points.
     assert name == "filter" or rest["bytes"] == sum(sizes)
     assert rest["bytes"] >= sum(sizes)
+
+
+@pytest.mark.parametrize(
+    ("choice", "found", "names"),
+    [
+        ("DATA OUT --limit 1", 4, ["00/000000"]),
+        ("DATA OUT --sequences 08", 4, ["08/000000", "08/000001"]),
+        ("@LIST OUT", 1, ["08/000001"]),
+        ("BAG OUT", 2, [f"drive/{START}", f"drive/{START + STEP}"]),
+    ],
+    ids=["limit", "sequences", "list", "bag"],
+)
+def test_the_plan_of_a_choice_has_the_scans_of_the_run(typed, data, tmp_path, choice, found, names):
+    sequences = data / "sequences"
+    shutil.copytree(sequences / "08", sequences / "00")
+    (tmp_path / "list.txt").write_text(f"{sequences / '08/velodyne/000001.bin'}\n")
+    write_bag(tmp_path, ".bag", messages([structured(seed=0), structured(seed=1)]))
+    call = f"predict {choice} {NETWORK}"
+    plan = only_json(typed(f"{call} --dry-run --json"))
+    assert [plan[key] for key in ("found", "complete", "todo")] == [found, 0, len(names)]
+    typed(f"{call} --events EVENTS")
+    assert names_of(tmp_path / "events.jsonl") == names
+    again = only_json(typed(f"{call} --dry-run --json"))
+    assert [again[key] for key in ("complete", "todo")] == [len(names), 0]
+
+
+def test_a_scan_that_cannot_be_read_is_to_do_before_and_after_the_run(typed, data):
+    (data / "sequences/08/velodyne/000001.bin").write_bytes(b"short")
+    call = f"predict DATA OUT {NETWORK}"
+    plan = only_json(typed(f"{call} --dry-run --json"))
+    assert (plan["complete"], plan["todo"]) == (0, 2)
+    typed(call, status=1)
+    again = only_json(typed(f"{call} --dry-run --json"))
+    assert (again["complete"], again["todo"]) == (1, 1)
 
 
 def test_the_plan_of_a_pick_is_what_it_writes(typed, tmp_path):
