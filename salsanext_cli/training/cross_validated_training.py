@@ -122,7 +122,7 @@ class CrossValidatedTraining:
         """Return mean IoU and accuracy before training, means over the folds."""
         setup = self.setup
         module = copy.deepcopy(setup.initial).to(setup.device).eval()
-        network = network_in_training(module, setup.card, setup.recipe, setup.device)
+        network = network_in_training(module, setup.card, setup.device)
         rows = [
             validate(network, replace(self.data_set, files=fold), setup.group)[0] for fold in folds
         ]
@@ -156,7 +156,10 @@ class CrossValidatedTraining:
     def _judged_fold(
         self, number: int, fold: Sequence[ScanFile], temperature: float
     ) -> dict[ScanFile, JudgedPoints]:
-        """Judge the labels of a fold by the weights that were trained without it."""
+        """Judge the labels of a fold by the weights that were trained without it.
+
+        In float32 on all devices: an overflow of a shorter type would end the trained folds.
+        """
         data_set = self.data_set
         weights = run_folder.fold_folder(self.setup.run, number) / run_folder.LAST
         module, card = read_weights(weights)

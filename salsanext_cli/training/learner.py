@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import SGD, AdamW, Optimizer
 
-from salsanext_cli.core.engines.device import PRECISIONS, bfloat16_instructions
+from salsanext_cli.core.engines.device import PRECISIONS, bfloat16_instructions, choose_precision
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import keep_ends_in_float32, set_up_cuda
 from salsanext_cli.core.network.card import WeightsCard
@@ -35,6 +35,11 @@ def fastest_precision(device: torch.device) -> str:
         return "bfloat16" if bfloat16_instructions() else "float32"
     major, _ = torch.cuda.get_device_capability(device)
     return "bfloat16" if major >= BFLOAT16_CAPABILITY else "float16"
+
+
+def validation_precision(device: torch.device) -> str:
+    """Return the number type of a validation: on a GPU that of `predict`, on a CPU float32."""
+    return "float32" if device.type == "cpu" else choose_precision("auto", str(device), "torch")
 
 
 def common_precision(device: torch.device, group: ProcessGroup) -> str:
@@ -86,7 +91,7 @@ class Learner:
 
     def network(self, card: WeightsCard) -> Network:
         """Return the network of the present weights, to validate it."""
-        return network_in_training(self.average.eval(), card, self.recipe, self.device)
+        return network_in_training(self.average.eval(), card, self.device)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> Tensor:
         """Learn from a worker's images (B, 5, H, W), and truth (B, H, W) uint8.
@@ -160,14 +165,13 @@ class Learner:
 
 
 def network_in_training(
-    module: SegmentationNetwork, card: WeightsCard, recipe: Recipe, device: torch.device
+    module: SegmentationNetwork, card: WeightsCard, device: torch.device
 ) -> Network:
     """Return the network of a module on the device of its training, to validate it.
 
-    On a GPU it computes in the number type of the training, on a CPU in float32.
+    It computes in the type of `validation_precision`, whatever the number type of the training.
     """
-    precision = recipe.precision if device.type == "cuda" else "float32"
-    return network_of_module(module, card, str(device), precision)
+    return network_of_module(module, card, str(device), validation_precision(device))
 
 
 def seed_dropout(seed: int, device: torch.device) -> None:

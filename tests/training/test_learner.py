@@ -258,9 +258,14 @@ def test_one_cycle_is_torchs() -> None:
             cycle.step()
 
 
-@pytest.mark.parametrize(("device", "precision"), [("cpu", "float32"), ("cuda", "bfloat16")])
-def test_a_gpu_validates_in_the_number_type_of_the_training(device, precision, monkeypatch):
+@pytest.mark.parametrize(
+    ("device", "capability", "precision"),
+    [("cpu", None, "float32"), ("cuda", (9, 0), "float16"), ("cuda", (6, 1), "float32")],
+)
+def test_a_gpu_validates_in_the_number_type_of_predict(device, capability, precision, monkeypatch):
+    """Whatever the number type of the training, which is bfloat16 here."""
     monkeypatch.setattr("salsanext_cli.core.engines.torch_backend.set_up_cuda", lambda: None)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     learning = learner(precision="bfloat16", average=0.9)
     learning.device = torch.device(device)
     network = learning.network(WeightsCard({}, label_space(), SMALL))

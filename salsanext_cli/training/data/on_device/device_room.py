@@ -13,6 +13,7 @@ from salsanext_cli.io.formats import read_scan
 from salsanext_cli.runs.scans.selection import evenly_spaced
 from salsanext_cli.training.data.on_device.scan_memory import BYTES_PER_POINT, host_reserve
 from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.learner import validation_precision
 from salsanext_cli.training.memory import memory_of
 from salsanext_cli.training.step_memory import StepMemory
 
@@ -77,7 +78,7 @@ class DeviceRoom:
         """Bytes that a validation needs after the steps; a CPU validates scan by scan."""
         if self.step is None or self.device.type == "cpu":
             return 0
-        return VALIDATION_BYTES[self.step.recipe.precision]
+        return VALIDATION_BYTES[validation_precision(self.device)]
 
     def has_room_for(self, sources: Sequence[Source]) -> bool:
         """Return whether the scans fit into the device and the host together; log if not."""

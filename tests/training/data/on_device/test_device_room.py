@@ -29,6 +29,7 @@ def memory(monkeypatch: pytest.MonkeyPatch) -> dict[str, Memory]:
     monkeypatch.setattr(device_room, "memory_of", memory.get)
     monkeypatch.setattr(device_room, "host_reserve", lambda host: host.total // 30)
     monkeypatch.setattr(device_room, "VALIDATION_BYTES", dict.fromkeys(PRECISIONS, 0))
+    monkeypatch.setattr(device_room, "validation_precision", lambda device: "float16")
     return memory
 
 
@@ -89,7 +90,7 @@ def test_steps_have_what_they_need_or_half_of_the_device() -> None:
 def test_a_validation_on_a_gpu_has_what_it_needs(monkeypatch, device, room):
     """It comes after the steps, so that the larger of both counts."""
     monkeypatch.setattr(device_room, "BYTES_PER_IMAGE", 10)
-    monkeypatch.setattr(device_room, "VALIDATION_BYTES", {"bfloat16": 90})
+    monkeypatch.setattr(device_room, "VALIDATION_BYTES", {"float16": 90})
     recipe = Recipe(batch=2, precision="bfloat16")
     for needed in (20, 100):
         step = SimpleNamespace(room=needed, recipe=recipe)
