@@ -100,9 +100,12 @@ class ScanStore:
         # A batch that was begun may still read them, on a stream of its own.
         torch.cuda.synchronize(self.memory.device)
         self.memory.fill()
-        for scans, key in moving:
-            scans[key] = self.memory.put(scans[key].values, scans[key].targets)
-        self.memory.wait()
+        try:
+            for scans, key in moving:
+                scans[key] = self.memory.put(scans[key].values, scans[key].targets)
+        finally:
+            # Also after a failure: scans that have moved are read by others at once.
+            self.memory.wait()
         torch.cuda.empty_cache()
         return True
 

@@ -91,6 +91,30 @@ def test_scans_that_the_host_cannot_hold_stay_on_the_device(monkeypatch) -> None
     assert {*store.whole.values(), *store.pasted.values()} == {stored}
 
 
+def test_a_move_that_fails_waits_for_the_scans_that_have_moved(monkeypatch) -> None:
+    """Batches of other streams read them; "meta" stands for the GPU."""
+    stored = StoredScan(
+        values=torch.empty(6, 4, dtype=torch.float16, device="meta"),
+        targets=torch.empty(6, dtype=torch.uint8, device="meta"),
+    )
+    store = ScanStore(memory=ScanMemory(device=torch.device("meta")))
+    store.whole.update({(0, "a"): stored, (0, "b"): stored})
+    done: list[str] = []
+
+    def put(memory: ScanMemory, values: torch.Tensor, targets: torch.Tensor) -> StoredScan:
+        if done:
+            raise MemoryError
+        done.append("put")
+        return stored
+
+    monkeypatch.setattr(torch.cuda, "synchronize", lambda device: None)
+    monkeypatch.setattr(ScanMemory, "put", put)
+    monkeypatch.setattr(ScanMemory, "wait", lambda memory: done.append("wait"))
+    with pytest.raises(MemoryError):
+        store.move_to_host()
+    assert done == ["put", "wait"]
+
+
 def test_half_of_the_blocks_leave_a_device_with_all_their_scans(monkeypatch) -> None:
     monkeypatch.setattr(scan_memory, "BLOCK_POINTS", 10)
     memory = ScanMemory(device=CPU)
