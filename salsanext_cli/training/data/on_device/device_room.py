@@ -25,6 +25,13 @@ VALIDATION_BYTES = {"float32": 9_600_000_000, "bfloat16": 2_700_000_000, "float1
 
 docs/experiments/gpu-h200.json has the measurements; the highest of them counts here.
 """
+VALIDATION_SHARE = 0.25
+"""Largest share of a device that stays free for a validation.
+
+Without memory for a batch, a validation goes on with half of it, and takes longer. Scans that are
+on the host instead take time in every step. In float32 a scan of the largest batch needs 600 MB:
+a quarter of 8 GB has room for three of the 16.
+"""
 USED_SHARE = 0.8  # Largest share of the available memory that scans should need
 
 log = logging.getLogger(__name__)
@@ -75,10 +82,12 @@ class DeviceRoom:
 
     @property
     def _validation(self) -> int:
-        """Bytes that a validation needs after the steps; a CPU validates scan by scan."""
+        """Bytes left to a validation after the steps; a CPU validates scan by scan."""
         if self.step is None or self.device.type == "cpu":
             return 0
-        return VALIDATION_BYTES[validation_precision(self.device)]
+        needed = VALIDATION_BYTES[validation_precision(self.device)]
+        memory = memory_of(str(self.device))
+        return min(needed, int(VALIDATION_SHARE * memory.total)) if memory else needed
 
     def has_room_for(self, sources: Sequence[Source]) -> bool:
         """Return whether the scans fit into the device and the host together; log if not."""

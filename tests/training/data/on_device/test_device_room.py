@@ -95,3 +95,14 @@ def test_a_validation_on_a_gpu_has_what_it_needs(monkeypatch, device, room):
     for needed in (20, 100):
         step = SimpleNamespace(room=needed, recipe=recipe)
         assert DeviceRoom(device=device, step=step).reserve == max(needed, room) + 20
+
+
+def test_a_validation_has_at_most_a_quarter_of_a_gpu(monkeypatch, memory) -> None:
+    monkeypatch.setattr(device_room, "BYTES_PER_IMAGE", 0)
+    monkeypatch.setattr(device_room, "VALIDATION_BYTES", {"float16": 300})
+    room = DeviceRoom(device=CUDA, step=SimpleNamespace(room=20, recipe=Recipe()))
+    for total, reserve in ((500, 125), (1200, 300), (2000, 300)):
+        memory["cuda:0"] = Memory(total=total, available=total)
+        assert room.reserve == reserve
+    del memory["cuda:0"]
+    assert room.reserve == 300
