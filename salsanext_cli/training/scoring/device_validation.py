@@ -67,8 +67,8 @@ class ComputedScan:
     Attributes
     ----------
     batch : HostCopies
-        Of B scans: confusions (B, C, C), logits (B, C, K) and truth (B, K) of sampled points, and
-        the number of these points (B,).
+        Of B scans: confusions (B, C, C), logits (B, C, K) and truth (B, K) of sampled points, the
+        number of these points (B,), and whether the logits of all pixels are finite (B,).
     number : int
         Number of the scan in the batch.
     """
@@ -78,11 +78,13 @@ class ComputedScan:
 
     def validated(self) -> ValidatedScan:
         """Wait for the results, and return copies of those of the scan."""
-        confusion, logits, truth, count = (array[self.number] for array in self.batch.arrays())
+        arrays = self.batch.arrays()
+        confusion, logits, truth, count, is_finite = (array[self.number] for array in arrays)
         return ValidatedScan(
             confusion=confusion.copy(),
             logits=torch.from_numpy(logits[:, :count].copy()),
             truth=torch.from_numpy(truth[:count].copy()),
+            is_finite=bool(is_finite),
         )
 
 
@@ -139,6 +141,7 @@ class DeviceValidation:
                 logits.flatten(2).gather(2, index),
                 truth[sample.point],
                 sample.count,
+                logits.isfinite().flatten(1).all(dim=1),
             ]
         )
         return [ComputedScan(batch=results, number=number) for number in range(len(scans))]

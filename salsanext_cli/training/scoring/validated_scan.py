@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-import torch
+from torch import Tensor
 
 from salsanext_cli.core.measures.scores import Counts
 
@@ -15,8 +15,19 @@ class ValidatedScan:
     """Confusion of a validated scan, and a sample of its points."""
 
     confusion: Counts  # (C, C)
-    logits: torch.Tensor  # (C, M) float32: of some points of scored classes
-    truth: torch.Tensor  # (M,) int64
+    logits: Tensor  # (C, M) float32: of some points of scored classes
+    truth: Tensor  # (M,) int64
+    is_finite: bool  # Whether the logits of all pixels are
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ValidatedScans:
+    """Confusion of the validated scans of all workers, and a sample of their points."""
+
+    confusion: Counts  # (C, C)
+    logits: Tensor  # (M, C) float32
+    truth: Tensor  # (M,) int64
+    infinite_scans: int  # Number of scans with logits that are not finite
 
 
 def sample_interval(usable: int, scans: int) -> int:

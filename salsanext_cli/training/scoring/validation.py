@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Validation of a network in training: scores on labelled scans, and the best temperature."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +20,8 @@ from salsanext_cli.core.measures.scores import confusion_matrix, scores
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.error_model import TEMPERATURES
 from salsanext_cli.core.records import Float, RangeImage
+from salsanext_cli.core.texts import counted, with_hint
+from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.loop.job import ScanJob, Steps
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.scans.scan_file import ScanFile
@@ -26,8 +29,14 @@ from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.run_folder import Row
 from salsanext_cli.training.scoring.device_validation import DeviceValidation
-from salsanext_cli.training.scoring.validated_scan import ValidatedScan, sample_interval
+from salsanext_cli.training.scoring.validated_scan import (
+    ValidatedScan,
+    ValidatedScans,
+    sample_interval,
+)
 from salsanext_cli.training.tuning.temperature import best_temperature, with_temperature
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -62,13 +71,42 @@ def validate(
 ) -> tuple[Row, WeightsCard]:
     """Score labels as `predict` makes them; return a row of the log, and a tempered card.
 
-    The workers of a group divide the scans.
+    Where logits overflow in a shorter number type, all scans are validated again in float32, with a
+    warning: `predict` refuses such logits. The workers of a group divide the scans.
     """
     card = network.card
+    scans = _validated(network, source, group)
+    if scans.infinite_scans and network.backend.precision != "float32":
+        if group.is_main:
+            _warn_of_overflow(scans.infinite_scans, network.backend.precision)
+        backend = replace(network.backend, precision="float32")
+        scans = _validated(replace(network, backend=backend), source, group)
+    best = best_temperature(scans.logits, scans.truth) if len(scans.truth) else card.temperature
+    lowest, highest = TEMPERATURES
+    temperature = best if lowest <= best <= highest else 1.0
+    card = with_temperature(card, temperature, scans.logits)
+    result = scores(scans.confusion, card.space)
+    row: Row = {
+        "accuracy": result.accuracy,
+        "miou": result.iou_mean_present,
+        "temperature": card.temperature,
+        **{f"iou_{score.name}": score.iou for score in result.classes},
+    }
+    return row, card
+
+
+def _warn_of_overflow(scans: int, precision: str) -> None:
+    text = f"logits of {counted(scans, 'scan')} are not finite in {precision}: validated in float32"
+    log.warning("%s", with_hint(text, f"predict with {setting('precision', 'float32')}"))
+
+
+def _validated(network: Network, source: Source, group: ProcessGroup) -> ValidatedScans:
+    """Compare the labels of all scans with the truth, each scan in one worker of a group."""
     space = network.card.space
     confusion = np.zeros((space.class_count, space.class_count), np.int64)
     logits = [torch.empty(space.class_count, 0)]
     truth = [torch.empty(0, dtype=torch.int64)]
+    infinite_scans = 0
 
     def gathered(parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return the points of all workers, on the CPU."""
@@ -81,21 +119,15 @@ def validate(
         confusion += scan.confusion
         logits.append(scan.logits)
         truth.append(scan.truth)
-    counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
-    all_logits = gathered(logits).T.contiguous()
-    all_truth = gathered(truth)
-    best = best_temperature(all_logits, all_truth) if len(all_truth) else card.temperature
-    lowest, highest = TEMPERATURES
-    temperature = best if lowest <= best <= highest else 1.0
-    card = with_temperature(card, temperature, all_logits)
-    result = scores(counts, space)
-    row: Row = {
-        "accuracy": result.accuracy,
-        "miou": result.iou_mean_present,
-        "temperature": card.temperature,
-        **{f"iou_{score.name}": score.iou for score in result.classes},
-    }
-    return row, card
+        infinite_scans += not scan.is_finite
+    counts = group.sum(torch.from_numpy(confusion).to(network.device))
+    infinite = group.sum(torch.tensor(infinite_scans, device=network.device))
+    return ValidatedScans(
+        confusion=counts.cpu().numpy(),
+        logits=gathered(logits).T.contiguous(),
+        truth=gathered(truth),
+        infinite_scans=int(infinite),
+    )
 
 
 def validation_job(network: Network, source: Source) -> ScanJob[Any, Any, ValidatedScan]:
@@ -132,4 +164,5 @@ def _compared(
         confusion=confusion_matrix(labels, refined, space.class_count),
         logits=torch.from_numpy(logits_of_points),
         truth=torch.from_numpy(labels[chosen].astype(np.int64)),
+        is_finite=bool(np.isfinite(logits_of_pixels).all()),
     )

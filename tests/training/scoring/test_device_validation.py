@@ -87,7 +87,7 @@ def test_the_host_waits_for_no_batch(tmp_path: Path, weights: Path, monkeypatch)
     monkeypatch.setattr(HostCopies, "of", copied.extend)
     with WaitsRefused(pinned):
         job.compute(prepared)
-    assert [tensor.device.type for tensor in copied] == ["meta"] * 4
+    assert [tensor.device.type for tensor in copied] == ["meta"] * 5
 
 
 def test_scores_of_a_device_are_those_of_the_validation(tmp_path, weights, monkeypatch) -> None:

@@ -2,10 +2,13 @@
 """Scores of a training."""
 
 # ruff: noqa: F811
+import logging
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+import torch
 from scans import SMALL, write_bin, write_sequence
 from shallow_network import shallow, weights  # noqa: F401
 
@@ -13,6 +16,7 @@ from salsanext_cli import Scan, knn_refine, load_network, project, read_labels, 
 from salsanext_cli.core.measures.scores import scores
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.scoring import validation
 from salsanext_cli.training.scoring.validation import validate
 
 
@@ -53,3 +57,31 @@ def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights
         rows.append(row)
     np.testing.assert_equal(*rows)
     assert 0 < rows[0]["accuracy"] < 1
+
+
+@pytest.mark.parametrize("is_gpu", [False, True])
+def test_logits_that_overflow_are_validated_in_float32(
+    tmp_path, weights, is_gpu, monkeypatch, caplog
+):
+    """Features before the logits become infinite in float16; logits in float32 do not change."""
+    monkeypatch.setattr(validation, "computes_on_gpu", lambda _: is_gpu)
+    files = find_scans(write_sequence(tmp_path / "08", ["a", "b"], count=400))
+    exact = load_network(weights, "cpu", precision="float32", engine="torch")
+    source = Source(files=files, space=exact.card.space, sensor=exact.sensor)
+    module = exact.backend.module
+    expected, expected_card = validate(exact, source)
+    half = replace(exact.backend, precision="float16", load_module=lambda: module)
+    validate(replace(exact, backend=half), source)
+    assert not caplog.messages
+    *_, last = (layer for layer in module.modules() if isinstance(layer, torch.nn.BatchNorm2d))
+    for values, factor in (
+        (last.weight, 2**20),
+        (last.bias, 2**20),
+        (module.logits.weight, 2**-20),
+    ):
+        values.data.mul_(factor)
+    row, card = validate(replace(exact, backend=replace(half)), source)
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    np.testing.assert_equal(row, expected)
+    assert card.temperature == expected_card.temperature
+    assert 0 < row["accuracy"] < 1
