@@ -28,7 +28,9 @@ class RunningAverage:
         floating = [pair for pair in pairs if pair[0].is_floating_point()]
         self.averages = [old for old, _ in floating]
         self.values = [new for _, new in floating]
-        self.counts = [pair for pair in pairs if not pair[0].is_floating_point()]
+        counts = [pair for pair in pairs if not pair[0].is_floating_point()]
+        self.old_counts = [old for old, _ in counts]
+        self.counts = [new for _, new in counts]
 
     @torch.no_grad()
     def update(self, step: int) -> None:
@@ -37,5 +39,5 @@ class RunningAverage:
         decay = min(self.decay, (1 + step) / (10 + step))
         update = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
         update(self.averages, self.values, None)
-        for old, new in self.counts:
-            old.copy_(new)
+        if self.counts:
+            torch._foreach_copy_(self.old_counts, self.counts)

@@ -21,3 +21,10 @@ def test_the_average_includes_batch_norm_and_soon_leaves_the_initial_weights() -
     for step in range(30):
         fast.update(step)
     assert float(average.weight.detach()) > 2.98
+
+
+def test_a_network_without_counts_is_averaged() -> None:
+    average, new = nn.Linear(1, 1), nn.Linear(1, 1)
+    new.weight.data.fill_(3.0)
+    RunningAverage(average, new, 0.0).update(0)
+    assert float(average.weight.detach()) == 3

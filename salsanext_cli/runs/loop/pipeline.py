@@ -14,7 +14,7 @@ from itertools import chain, islice
 from typing import Any, Generic, TypeVar
 
 from salsanext_cli.core.engines.batches import BatchSize
-from salsanext_cli.core.engines.memory import out_of_memory
+from salsanext_cli.core.engines.memory import out_of_gpu_memory, out_of_memory
 from salsanext_cli.core.errors import FormatError, SalsanextError
 from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.loop.job import Attempt, Computed, OpenableTask, Prepared, ScanJob, Task
@@ -153,6 +153,8 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         except (MemoryError, RuntimeError) as error:
             if not out_of_memory(error):
                 raise
+            if out_of_gpu_memory(error):
+                device = self.device  # Also while a scan is finished, if it is computed again
             hint = f"use {setting('device', 'cpu')}"
             if device == "cpu":
                 hint = f"free some memory, or use fewer {argument('jobs')}"

@@ -6,9 +6,11 @@ import threading
 import weakref
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.errors import FormatError, SalsanextError
@@ -259,6 +261,17 @@ def test_memory_that_runs_out_in_another_step_is_an_error_of_its_scan(failing):
     job = Job(fails=[(failing, "1")], error=MemoryError())
     attempts = [*pipeline(job).run(FILES)]
     assert [attempt.file.stem for attempt in attempts if attempt.error] == ["1"]
+
+
+@pytest.mark.parametrize(
+    ("error", "device"), [(MemoryError(), "cpu"), (torch.OutOfMemoryError(), "cuda:1")]
+)
+def test_memory_of_a_gpu_that_runs_out_at_the_end_of_a_scan_is_named(error, device):
+    """As when it is computed again; the memory of the host is "cpu"."""
+    job = Job(fails=[("finish", "1")], error=error)
+    attempts = [*replace(pipeline(job), device="cuda:1").run(FILES)]
+    (failed,) = [attempt.error for attempt in attempts if attempt.error]
+    assert failed.problem.endswith(f" {device}")
 
 
 def test_a_batch_that_another_thread_halved_does_not_grow_again():
