@@ -12,8 +12,8 @@ from salsanext_cli.core.measures.counts import EVALUATED_KINDS, ScanCounts
 from salsanext_cli.core.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.core.uncertainty.kinds import UNCERTAINTY
 from salsanext_cli.runs.loop.run import RunOptions
-from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.output_paths import output_path
+from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.summary.comparison import ScanComparison
 
@@ -59,7 +59,7 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
 def uncertainty_of(world: World) -> UncertaintyEvaluation:
     """Count and divide without drawing anything."""
     counts = ScanCounts.none(SPACE)
-    comparison = ScanComparison.from_results(Manifest(world.out), SPACE, SPACE)
+    comparison = ScanComparison.from_results(Provenance(world.out), SPACE, SPACE)
     for scan in find_scans(world.dataset):
         counts.add(comparison.count(scan))
     return UncertaintyEvaluation.from_counts(counts)

@@ -9,7 +9,8 @@ from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.runs.loop.pipeline import Pipeline
 from salsanext_cli.runs.loop.timed_job import StartedBatch, TimedJob
 
-SCANS = scans_of([("00", number) for number in range(64)])
+SCANS = scans_of([("00", number) for number in range(400)])
+"""So many that a batch that a thread finishes late changes the pace by a percent."""
 
 
 def timed_job(times, *, computing_s=0.1, finishing_s=0.3):
