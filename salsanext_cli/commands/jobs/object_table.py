@@ -30,6 +30,7 @@ def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> byt
     """
     sizes = np.bincount(objects)
     class_of_object = np.zeros(len(sizes), np.uint8)
+    # All points of an object have its class.
     class_of_object[objects] = scan.labels
     cars = [train_id for train_id, name in enumerate(space.names) if name == "car"]
     is_car = np.isin(class_of_object[1:], cars)

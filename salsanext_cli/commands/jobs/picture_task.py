@@ -50,7 +50,7 @@ class PictureTask:
 
     colours: Sequence[str]  # Empty for all
     scales: Scales
-    space: LabelSpace
+    space: LabelSpace  # Classes of the labels in the pictures
     sensor: Sensor
     output: OutputRun
     classes: LabelSpace | None  # Classes into which predicted ones are merged
@@ -163,7 +163,7 @@ def warn_of_unfit_scales(out: Path, scales: PictureScales) -> None:
 
 
 def _fits(scale: Scale, values: Scale) -> bool:
-    """Return whether a scale shows the values of scans whose scale is another."""
+    """Return whether a scale contains half of the span of values, and they use a tenth of it."""
     span = values[-1] - values[0]
     common = max(0.0, min(scale[-1], values[-1]) - max(scale[0], values[0]))
     is_inside = common >= LEAST_INSIDE * span

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Job of `predict`: the way of a scan from its file to its results.
 
-1. `PredictJob.prepare` reads and checks it: `read_to_label`.
+1. `PredictJob.prepare` reads a scan by `read_to_label` of `runs/fit/scan_reading.py`, checks it and
+   makes the input of the network.
 2. `PredictJob.compute` computes a batch.
 3. `PredictJob.finish` writes the results of the points.
 

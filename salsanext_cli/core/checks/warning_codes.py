@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Codes of all warnings about scans; docs/reference/warnings.md has thresholds and remedies."""
+"""Codes of all warnings about scans; docs/reference/warnings.md has thresholds and remedies.
+
+`core/measures/expected_accuracy.py` has what else withholds the estimated accuracy of a run.
+"""
 
 from __future__ import annotations
 

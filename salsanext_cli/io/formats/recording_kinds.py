@@ -2,7 +2,8 @@
 """Kinds of recordings of many scans: ROS bags, packets of sensors, and E57 files.
 
 A new kind is a row of `RECORDING_KINDS`, and a class with the methods of `Recording`. Its module is
-imported when a recording of this kind is opened. A recording is a file with one of its suffixes, or
+imported when a recording of this kind is opened. `recordings.py` keeps it open, names its scans and
+calls its methods. A recording is a file with one of its suffixes, or
 a folder in which its `files_in` finds files.
 """
 
@@ -26,7 +27,10 @@ class Recording(Protocol):
     """Recording that is open, with the clouds of some topics."""
 
     def cloud_topics(self) -> list[str]:
-        """Return the topics with point clouds, sorted."""
+        """Return the topics with point clouds, sorted; a kind without topics returns one name.
+
+        A topic is the folder of its scans in their paths.
+        """
 
     def without_clouds(self) -> NoInputError:
         """Return the error of a recording without topics of point clouds."""

@@ -30,7 +30,7 @@ class Pace:
         Time of a scan in seconds.
     busy_share : float
         Share of it for which the device needs to compute the scan, 0…1; for the rest it waits.
-        It is an upper bound, as the times of `DeviceTime`.
+        An upper bound: pauses of the device within a batch count as work.
     """
 
     seconds_per_scan: float
@@ -75,11 +75,11 @@ class TimedJob:
         return self.job.finish(scan, computed)
 
     def pace(self, warm_up: int) -> Pace | None:
-        """Return the pace after some scans that warm up; None with fewer than two batches then.
+        """Return the pace of the batches after the first `warm_up` scans; None for fewer than two.
 
-        Scans are counted from the start of a batch to that of another, when both have as many scans
-        ahead and behind. The device may wait within a batch too, for calls of a busy process; the
-        fastest batch shows what it needs.
+        The time is that from the start of the first batch to the start of the last, whose scans
+        therefore do not count. The device may wait within a batch too, for calls of a busy process;
+        the fastest batch shows what it needs.
         """
         first = 0
         while first < len(self.batches) and warm_up > 0:

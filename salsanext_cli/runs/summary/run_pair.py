@@ -71,7 +71,8 @@ class RunPair:
     sensor: Sensor  # Sensor of the first run
     trained_on: Sequence[RecordedScans]  # Scans that the weights of each run were trained on
     missing: MissingResults = field(default_factory=MissingResults)  # Scans without labels
-    # Names of the scans whose label files are pre-labels, or have the ids of another label space
+    # Names of the scans whose label files are pre-labels, or have the ids of another label space;
+    # the stage `compare` states them
     unusable: frozenset[str] = frozenset()
 
     @classmethod
@@ -176,6 +177,7 @@ class RunPair:
             file=file,
             transitions=transitions,
             sums=np.array(sums),
+            # The scan is read only if a digest begins with its number of points.
             trained_on=is_among(
                 digests, len(truth.train), lambda: read_scan(file.path, self.sensor)
             ),
@@ -207,7 +209,7 @@ def _require_same_scans(
     second: ResultFolder,
     other_scans: Iterable[ScanFile],
 ) -> list[ScanFile]:
-    """Return the scans with labels of both runs; refuse labels of other scans in either."""
+    """Return the scans with labels of both runs; refuse labels of other scans or points."""
     first_by_name = _labelled(first, scans)
     second_by_name = _labelled(second, other_scans)
     alone = sorted(first_by_name.keys() ^ second_by_name.keys())
@@ -227,7 +229,7 @@ def _require_same_scans(
 def _missing(
     first: ResultFolder, second: ResultFolder, unlabelled: set[ScanFile]
 ) -> MissingResults:
-    """Divide scans without labels of both runs by whether a stage of either was asked for them."""
+    """Divide scans without labels in either run by whether a stage of either was asked for them."""
     missing: set[ScanFile] = set()
     for run in (first, second):
         missing.update(run.missing_predictions(unlabelled).scans)

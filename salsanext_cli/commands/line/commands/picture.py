@@ -147,6 +147,7 @@ def _numbers(outcome: "PictureOutcome") -> summary.StageNumbers:
         "ranges": outcome.ranges,
         "first": str(outcome.first),
     }
+    # No scan has a picture if all of them failed.
     return summary.StageNumbers(data=data, lines=lines if outcome.has_results else ())
 
 

@@ -100,11 +100,10 @@ def tune_error(
     output.result(tuned.to_dict(), error_table(held_out) if held_out.folds else None)
     points = f"{tuned.fit.points:,} points of {counted(tuned.fit.scans, 'scan')}"
     points += f", {percentage(tuned.fit.wrong)} wrong"
-    several = tuned.fit.several
-    if several:
-        points += (
-            f" ({percentage(several)} of all points skipped: labels of several merged classes)"
-        )
+    share_of_several = tuned.fit.several
+    if share_of_several:
+        skipped = f"{percentage(share_of_several)} of all points skipped"
+        points += f" ({skipped}: labels of several merged classes)"
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 
