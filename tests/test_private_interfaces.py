@@ -32,6 +32,7 @@ from salsanext_cli.core.engines.openvino_runtime import openvino_core
 from salsanext_cli.io import kernel_cache
 from salsanext_cli.runs.loop.cluster import node_code
 from salsanext_cli.training.fused_step import is_fused, skip_step
+from salsanext_cli.training.running_average import RunningAverage
 
 pytestmark = pytest.mark.private
 BOUNDED = ("numba", "openvino", "ray", "rosbags", "torch", "typer")
@@ -40,6 +41,7 @@ USERS = {
     "io/kernel_cache.py": r"numba\.core|\._cache\b",
     "core/engines/conversion.py": r"torch\.jit|openvino\.frontend",
     "training/fused_step.py": r"found_inf",
+    "training/running_average.py": r"torch\._foreach",
     "commands/line/options/typer_interface.py": (
         r"typer\.core|BadParameter\.__base__|get_parameter_source"
     ),
@@ -100,6 +102,14 @@ def test_a_fused_optimiser_of_torch_skips_a_step(kind):
     skip_step(optimiser, torch.tensor(False))
     optimiser.step()
     assert (parameter < 1).all()
+
+
+def test_torch_copies_the_counts_of_several_batch_norms_together():
+    average, new = (nn.Sequential(nn.BatchNorm2d(1), nn.BatchNorm2d(1)) for _ in range(2))
+    for number, layer in enumerate(new, start=7):
+        layer.num_batches_tracked.fill_(number)
+    RunningAverage(average, new, 0.9).update(0)
+    assert [int(layer.num_batches_tracked) for layer in average] == [7, 8]
 
 
 def test_a_module_of_torch_becomes_a_graph_of_openvino():
