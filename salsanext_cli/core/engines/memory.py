@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Whether an error means that memory ran out."""
+"""Whether an error means that memory ran out, and whether it was that of a GPU."""
+
+from collections.abc import Iterator
 
 from salsanext_cli.core.engines.registry import LIBRARIES
 from salsanext_cli.core.errors import SalsanextError
@@ -13,25 +15,46 @@ NO_MEMORY = (
 )
 """Words of the system, of C++ and of Python when memory runs out; libraries add theirs."""
 
+NO_GPU_MEMORY = LIBRARIES["torch"].memory_errors  # On a CPU, torch has the words of C++
+
 OUT_OF_GPU_MEMORY = "OutOfMemoryError"  # Class of torch, which need not be imported
 
 
 def out_of_memory(error: BaseException | None) -> bool:
     """Return whether an unexplained error, or one of its causes, means that memory ran out."""
-    library_words = [words for library in LIBRARIES.values() for words in library.memory_errors]
-    while error is not None and not isinstance(error, SalsanextError):
-        text = str(error).lower()
-        is_named = isinstance(error, MemoryError) or type(error).__name__ == OUT_OF_GPU_MEMORY
-        if is_named or any(words in text for words in (*NO_MEMORY, *library_words)):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+    return any(_means_memory(cause) for cause in _unexplained(error))
 
 
 def out_of_gpu_memory(error: BaseException | None) -> bool:
-    """Return whether an unexplained error, or one of its causes, is of the memory of a GPU."""
-    while error is not None:
-        if type(error).__name__ == OUT_OF_GPU_MEMORY:
+    """Return whether the memory that ran out by an unexplained error is that of a GPU.
+
+    An error that was raised from another one says less than that. An error that was raised while
+    another one was handled is of its own memory.
+    """
+    for cause in _unexplained(error):
+        if _means_gpu_memory(cause):
             return True
-        error = error.__cause__ or error.__context__
+        if _means_memory(cause) and cause.__cause__ is None:
+            return False
     return False
+
+
+def _unexplained(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and its causes, the last one first, up to a `SalsanextError`."""
+    while error is not None and not isinstance(error, SalsanextError):
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _means_memory(error: BaseException) -> bool:
+    if isinstance(error, MemoryError) or _means_gpu_memory(error):
+        return True
+    library_words = [words for library in LIBRARIES.values() for words in library.memory_errors]
+    text = str(error).lower()
+    return any(words in text for words in (*NO_MEMORY, *library_words))
+
+
+def _means_gpu_memory(error: BaseException) -> bool:
+    text = str(error).lower()
+    is_named = type(error).__name__ == OUT_OF_GPU_MEMORY
+    return is_named or any(words in text for words in NO_GPU_MEMORY)

@@ -263,8 +263,25 @@ def test_memory_that_runs_out_in_another_step_is_an_error_of_its_scan(failing):
     assert [attempt.file.stem for attempt in attempts if attempt.error] == ["1"]
 
 
+def no_memory(cause=None, context=None):
+    """Return an error as if raised from a cause, or while another was handled."""
+    error = MemoryError()
+    error.__cause__ = cause
+    error.__context__ = context
+    return error
+
+
 @pytest.mark.parametrize(
-    ("error", "device"), [(MemoryError(), "cpu"), (torch.OutOfMemoryError(), "cuda:1")]
+    ("error", "device"),
+    [
+        (MemoryError(), "cpu"),
+        (no_memory(cause=MemoryError()), "cpu"),
+        (no_memory(context=torch.OutOfMemoryError()), "cpu"),
+        (torch.OutOfMemoryError(), "cuda:1"),
+        (no_memory(cause=torch.OutOfMemoryError()), "cuda:1"),
+        (RuntimeError("CUDA error: out of memory"), "cuda:1"),
+        (RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED"), "cuda:1"),
+    ],
 )
 def test_memory_of_a_gpu_that_runs_out_at_the_end_of_a_scan_is_named(error, device):
     """As when it is computed again; the memory of the host is "cpu"."""
