@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from salsanext_cli.core.engines.device import choose_device
+from salsanext_cli.core.engines.device import PRECISIONS, choose_device
 from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.training.failure_watch import LEAVING_S, POLL_S, FailureWatch
 
@@ -150,6 +150,12 @@ def _device(name: str, group: ProcessGroup) -> torch.device:
     gpu = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
     torch.cuda.set_device(gpu)
     return gpu
+
+
+def agreed_precision(precision: str, device: torch.device | str, group: ProcessGroup) -> str:
+    """Return the number type of all workers; float32 if they differ."""
+    numbers = group.gather(torch.tensor([PRECISIONS.index(precision)], device=device))
+    return precision if len({int(number) for number in numbers}) == 1 else "float32"
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:

@@ -10,14 +10,19 @@ import torch
 from torch import Tensor, nn
 from torch.optim import SGD, AdamW, Optimizer
 
-from salsanext_cli.core.engines.device import PRECISIONS, bfloat16_instructions, choose_precision
+from salsanext_cli.core.engines.device import bfloat16_instructions, choose_precision
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.engines.torch_backend import keep_ends_in_float32, set_up_cuda
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.io.weights.loading import network_of_module
 from salsanext_cli.training.data.targets import ClassSets
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
+from salsanext_cli.training.distributed import (
+    SINGLE_PROCESS,
+    ProcessGroup,
+    agreed_precision,
+    data_parallel,
+)
 from salsanext_cli.training.fused_step import is_fused, skip_step
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
@@ -44,9 +49,7 @@ def validation_precision(device: torch.device) -> str:
 
 def common_precision(device: torch.device, group: ProcessGroup) -> str:
     """Return the number type that suits the devices of all workers; float32 if they differ."""
-    fastest = fastest_precision(device)
-    fastest_of_workers = group.gather(torch.tensor([PRECISIONS.index(fastest)], device=device))
-    return fastest if len({int(number) for number in fastest_of_workers}) == 1 else "float32"
+    return agreed_precision(fastest_precision(device), device, group)
 
 
 class Learner:

@@ -26,7 +26,7 @@ from salsanext_cli.runs.loop.job import ScanJob, Steps
 from salsanext_cli.runs.loop.network_task import network_pipeline
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, agreed_precision
 from salsanext_cli.training.run_folder import Row
 from salsanext_cli.training.scoring.device_validation import DeviceValidation
 from salsanext_cli.training.scoring.validated_scan import (
@@ -72,15 +72,17 @@ def validate(
     """Score labels as `predict` makes them; return a row of the log, and a tempered card.
 
     Where logits overflow in a shorter number type, all scans are validated again in float32, with a
-    warning: `predict` refuses such logits. The workers of a group divide the scans.
+    warning: `predict` refuses such logits. The workers of a group divide the scans, and compute in
+    one number type, so that all of them validate again or none does.
     """
     card = network.card
-    scans = _validated(network, source, group)
-    if scans.infinite_scans and network.backend.precision != "float32":
+    precision = agreed_precision(network.backend.precision, network.device, group)
+    scans = _validated(_in_precision(network, precision), source, group)
+    if scans.infinite_scans and precision != "float32":
+        overflowed = scans.infinite_scans
+        scans = _validated(_in_precision(network, "float32"), source, group)
         if group.is_main:
-            _warn_of_overflow(scans.infinite_scans, network.backend.precision)
-        backend = replace(network.backend, precision="float32")
-        scans = _validated(replace(network, backend=backend), source, group)
+            _warn_of_overflow(precision, overflowed, scans.infinite_scans)
     best = best_temperature(scans.logits, scans.truth) if len(scans.truth) else card.temperature
     lowest, highest = TEMPERATURES
     temperature = best if lowest <= best <= highest else 1.0
@@ -95,9 +97,21 @@ def validate(
     return row, card
 
 
-def _warn_of_overflow(scans: int, precision: str) -> None:
+def _in_precision(network: Network, precision: str) -> Network:
+    """Return a network that computes in a number type."""
+    if network.backend.precision == precision:
+        return network
+    return replace(network, backend=replace(network.backend, precision=precision))
+
+
+def _warn_of_overflow(precision: str, scans: int, scans_in_float32: int) -> None:
+    """Warn of scans whose logits are not finite, and of those where float32 does not help."""
     text = f"logits of {counted(scans, 'scan')} are not finite in {precision}: validated in float32"
-    log.warning("%s", with_hint(text, f"predict with {setting('precision', 'float32')}"))
+    hint = f"predict with {setting('precision', 'float32')}"
+    if scans_in_float32:
+        text += f", where those of {counted(scans_in_float32, 'scan')} are not finite either"
+        hint = ""
+    log.warning("%s", with_hint(text, hint))
 
 
 def _validated(network: Network, source: Source, group: ProcessGroup) -> ValidatedScans:
