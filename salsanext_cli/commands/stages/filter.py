@@ -144,6 +144,8 @@ def plan_filter(
         for failure in failures:
             log.error("%s: %s", failure.scan.name, failure.text)
         todo = [cloud for clouds in to_copy.clouds.values() for cloud in clouds]
+        # Clouds of a bag that fails are not known, and it is not done.
+        todo += [failure.scan for failure in failures]
         plan = RunPlan(scans=len(listed), done=to_copy.done, todo=todo)
         files = [file for bag in to_copy.clouds for file in files_of(bag.path)]
     else:

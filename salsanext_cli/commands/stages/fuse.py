@@ -14,6 +14,7 @@ from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.window import warn_without_movable_classes
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
 from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
@@ -23,8 +24,8 @@ from salsanext_cli.runs.drives.scans_of_drive import drive_findings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.folder_names import DISAGREEMENT, FUSED
+from salsanext_cli.runs.results.moved_scans import moved_folder
 from salsanext_cli.runs.results.query import ResultQuery
-from salsanext_cli.runs.results.scan_arguments import are_moved
 from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
 from salsanext_cli.runs.scans.selection import scans_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
@@ -188,11 +189,12 @@ def _prepared(
     stop = options.on_error == "stop"
     # Other shards compute the drives of their sequences.
     sequences = sequences_of(options.shard.select(fusible.scans))
-
-    def records_scans(folder: Path) -> bool:
-        # A data set that was moved is named by the user, and its recorded place stays.
-        return query.dataset is None or not are_moved(folder, fusible.scans)
-
+    # The recorded place of scans that were moved stays.
+    moves = {folder: moved_folder(folder, fusible.scans) for folder in (out, target)}
+    for move in dict.fromkeys(moves.values()):
+        if move is not None:
+            text = "%s: scans of %s, which are no longer there, are taken from %s"
+            log.log(NOTICE, text, out, move.before, move.now)
     return PreparedFusion(
         fusible=fusible,
         drives_by_poses=fusible.drives_by_poses(sequences, poses, stop=stop),
@@ -204,7 +206,7 @@ def _prepared(
             recorded=fusible.settings_of_votes(reach),
             folders=FOLDERS_OF_VOTES,
             overwrite=options.overwrite,
-            records_scans=records_scans(out),
+            records_scans=moves[out] is None,
         ),
         labels=PreparedRun(
             out=target,
@@ -214,7 +216,7 @@ def _prepared(
             recorded=fusible.settings_of_labels(reach, target),
             folders=(*FOLDERS_OF_VOTES, "predictions"),
             overwrite=options.overwrite,
-            records_scans=records_scans(target),
+            records_scans=moves[target] is None,
         ),
     )
 

@@ -110,7 +110,9 @@ def require_writable(folder: Path) -> None:
 
 def foresee_writable(folder: Path) -> None:
     """Raise `OutputError` if a file or permissions are in the way of a folder; write nothing."""
-    place = next(path for path in (folder, *folder.parents) if present(path))
+    places = (folder, *folder.parents)
+    # A link to nothing is in the way too.
+    place = next(path for path in places if present(path) or path.is_symlink())
     if not is_folder(place):
         number = errno.ENOTDIR
     elif not os.access(place, os.W_OK | os.X_OK):

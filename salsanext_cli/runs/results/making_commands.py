@@ -12,14 +12,14 @@ from pathlib import Path
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.runs.results.folder_names import ERROR
 from salsanext_cli.runs.results.manifest import Manifest
+from salsanext_cli.runs.results.moved_scans import moved_folder
 from salsanext_cli.runs.results.repeated_settings import (
     extras_of_run,
     network_record,
     settings_of_run,
 )
-from salsanext_cli.runs.results.scan_arguments import are_moved, scan_arguments
+from salsanext_cli.runs.results.scan_arguments import are_moved, moved_data_set, scan_arguments
 from salsanext_cli.runs.scans.scan_file import ScanFile
-from salsanext_cli.runs.scans.selection import data_set_of
 
 WITHOUT_NOISE = "none"  # Value of `UncertaintyMethod.aleatoric`
 
@@ -66,8 +66,8 @@ class MakingCommand:
             words += arguments.sources
             settings += arguments.settings()
             settings += settings_of_run(Manifest(out), self.omitted)
-        elif are_moved(out, scans):
-            settings.append(setting("dataset", data_set_of(scans[0]) or scans[0].path.parent))
+        elif moved_folder(out, scans):
+            settings.append(setting("dataset", moved_data_set(out, scans)))
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
         sampled = Manifest(out).settings("uncertainty") if self.stage == "uncertainty" else None

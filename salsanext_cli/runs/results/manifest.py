@@ -29,6 +29,7 @@ from salsanext_cli.runs.records.stage_settings import (
 )
 from salsanext_cli.runs.results.folder_names import COLOURINGS, SUFFIX_OF_FOLDER
 from salsanext_cli.runs.results.setting_differences import differences
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.version import __version__
 
 Kind = TypeVar("Kind")
@@ -46,6 +47,11 @@ class ScanSource:
 
     folder: str  # Absolute
     suffixes: Mapping[str, str]  # By stem; empty for scans of a recording, and in older records
+
+    def path(self, scan: ScanFile) -> Path:
+        """Return where a scan was recorded; a suffix that was not recorded is that of the scan."""
+        suffix = self.suffixes.get(scan.stem) or scan.suffix
+        return Path(self.folder, scan.stem + suffix)
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of a sequence, with the names of its files."""

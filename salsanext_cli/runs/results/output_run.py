@@ -272,20 +272,15 @@ def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]
         folder = folders.setdefault(scan.sequence, str(scan.path.parent))
         recorded = recorded_sources.get(scan.sequence, ScanSource(folder, {}))
         _require_recorded_source(out, scan, recorded)
-        suffixes.setdefault(scan.sequence, {})[scan.stem] = _suffix_of(scan)
+        suffixes.setdefault(scan.sequence, {})[scan.stem] = scan.suffix
     return {name: ScanSource(folders[name], suffixes[name]) for name in folders}
-
-
-def _suffix_of(scan: ScanFile) -> str:
-    """Return what follows the stem in the name of a file."""
-    return scan.path.name[len(scan.stem) :]
 
 
 def _require_recorded_source(out: Path, scan: ScanFile, recorded: ScanSource) -> None:
     """Refuse a scan if the folder has results of another one in its place."""
-    name = scan.stem + (recorded.suffixes.get(scan.stem) or _suffix_of(scan))
-    if recorded.folder != str(scan.path.parent) or name != scan.path.name:
-        problem = f"results of sequence {scan.sequence} are of {Path(recorded.folder, name)}"
+    path = recorded.path(scan)
+    if path != scan.path:
+        problem = f"results of sequence {scan.sequence} are of {path}"
         hint = f"use another output folder for {scan.path}"
         raise OutputError(out, problem, "the same scans", hint)
 

@@ -82,6 +82,15 @@ def are_moved(out: Path, scans: Iterable[ScanFile]) -> bool:
     return any(folder != now for folder, now in _folders_now(Manifest(out), scans).items())
 
 
+def moved_data_set(out: Path, scans: Sequence[ScanFile]) -> Path:
+    """Return the data set of scans that were moved, else the common folder of all recorded ones."""
+    data_set = data_set_of(scans[0])
+    if data_set is not None:
+        return data_set
+    # A stage on the results of all drives finds none of them in the folder of another.
+    return Path(os.path.commonpath(_folders_now(Manifest(out), scans).values()))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _AskedFor:
     """Scans that runs were asked for, and the arguments that name them."""

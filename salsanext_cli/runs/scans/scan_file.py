@@ -26,6 +26,11 @@ class ScanFile:
         return f"{self.sequence}/{self.stem}"
 
     @property
+    def suffix(self) -> str:
+        """What follows the stem in the name of the file; empty for a scan in a recording."""
+        return self.path.name[len(self.stem) :]
+
+    @property
     def label_path(self) -> Path:
         """Path of the labels of the scan, which may not exist."""
         name = f"{self.stem}.label"

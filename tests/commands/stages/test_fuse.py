@@ -17,7 +17,7 @@ from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_la
 from salsanext_cli.commands.line.app import app
 from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.stages.evaluate import evaluate_scans
-from salsanext_cli.commands.stages.fuse import fuse_results
+from salsanext_cli.commands.stages.fuse import fuse_results, plan_fusion
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import (
     FormatError,
@@ -37,7 +37,7 @@ from salsanext_cli.runs.network_settings import NetworkSettings
 from salsanext_cli.runs.results.making_commands import FUSE
 from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
-from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
@@ -180,14 +180,26 @@ def test_a_second_folder_for_fused_labels_has_a_hint_that_works(drive):
     assert files_below(fused_folder(drive)) == first
 
 
-def test_results_of_a_moved_data_set_are_fused_by_the_command_of_the_hint(drive, tmp_path):
+def test_results_of_a_moved_data_set_are_fused_by_the_command_of_the_hint(
+    drive, tmp_path, monkeypatch, caplog
+):
+    recorded = drive.data / "sequences/08/velodyne"
+    other = shutil.copytree(drive.data, tmp_path / "other")
+    for function in (fuse_results, plan_fusion):
+        refused(OutputError, drive.out, function, drive.out, query=ResultQuery(dataset=other))
+    assert not (drive.out / "fused").exists()
     moved = drive.data.rename(tmp_path / "moved")
     with spelled(CommandLine()):
         hint = f"`{FUSE.text(drive.out, find_scans(moved))}`"
     typed(hint)
     assert [*find_outputs(drive.out / "fused", "predictions")] == [("08", stem) for stem in STEMS]
-    again = fuse_results(drive.out, query=ResultQuery(dataset=moved))
-    assert again.skipped == len(STEMS)
+    monkeypatch.setenv(DATASET_VARIABLE, str(moved))
+    caplog.clear()
+    with caplog.at_level(NOTICE):
+        assert fuse_results(drive.out).skipped == len(STEMS)
+    (line,) = [text for text in caplog.messages if str(recorded) in text]
+    assert line.endswith(f"are taken from {moved / 'sequences/08/velodyne'}")
+    monkeypatch.delenv(DATASET_VARIABLE)
     called("eval", drive.out / "fused")
     moved.rename(tmp_path / "moved again")
     typed(hint.replace(str(moved), f"'{tmp_path / 'moved again'}'"))

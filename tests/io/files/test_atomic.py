@@ -9,9 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from scans import refused
 
 from salsanext_cli.core.errors import OutputError
-from salsanext_cli.io.files.atomic import append_line, write_bytes, write_target, writing
+from salsanext_cli.io.files.atomic import (
+    append_line,
+    foresee_writable,
+    require_writable,
+    write_bytes,
+    write_target,
+    writing,
+)
 
 
 def test_file_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
@@ -33,6 +41,16 @@ def test_permissions_are_the_usual_ones_and_long_names_have_room(tmp_path):
     path = tmp_path / ("n" * 249 + ".label")
     write_bytes(path, b"label")
     assert path.read_bytes() == b"label"
+
+
+def test_a_folder_at_a_link_to_nothing_cannot_be_written(tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "nothing")
+    for folder in (link, link / "run"):
+        for check in (foresee_writable, require_writable):
+            refused(OutputError, folder, check, folder)
+    (tmp_path / "nothing").mkdir()
+    foresee_writable(link / "run")
 
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, SystemExit, ValueError, MemoryError])

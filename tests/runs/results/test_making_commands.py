@@ -6,7 +6,7 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from shutil import copyfile
+from shutil import copyfile, copytree
 
 import numpy as np
 import pytest
@@ -94,22 +94,30 @@ def test_results_of_moved_scans_are_made_in_another_folder(world, tmp_path):
     called(*shlex.split(refused)[1:], status=1)
 
 
-@pytest.mark.parametrize("folder", ["sequences/00/velodyne", "plain"])
-def test_moved_scans_are_fused_where_they_are(tmp_path, folder):
-    path = tmp_path / "old data" / folder / "000000.bin"
-    path.parent.mkdir(parents=True)
-    path.touch()
-    (scan,) = find_scans(path)
-    source = ScanSource(str(path.parent), {"000000": ".bin"})
-    record = StageRecord(stage="predict", settings={}, scans={scan.sequence: source})
-    (tmp_path / "out").mkdir()
-    Manifest(tmp_path / "out").write(record)
-    assert words_of(FUSE, tmp_path / "out", [scan]) == ["salsanext", "fuse", str(tmp_path / "out")]
-    moved = (tmp_path / "old data").rename(tmp_path / "new data")
-    (scan,) = find_scans(moved / folder / "000000.bin")
-    words = words_of(FUSE, tmp_path / "out", [scan])
-    data_set = moved if folder != "plain" else moved / folder
-    assert words[2:] == [str(tmp_path / "out"), "--dataset", str(data_set)]
+@pytest.mark.parametrize(
+    ("folders", "data_set"),
+    [(["sequences/00/velodyne"], ""), (["plain"], "plain"), (["d1/velodyne", "d2/velodyne"], "")],
+)
+def test_moved_scans_are_fused_where_they_are(tmp_path, folders, data_set):
+    old = tmp_path / "old data"
+    for folder in folders:
+        (old / folder).mkdir(parents=True)
+        (old / folder / "000000.bin").touch()
+    scans = find_scans(old / data_set)
+    folder_by_sequence = {scan.sequence: str(scan.path.parent) for scan in scans}
+    assert len(folder_by_sequence) == len(folders)
+    suffixes = {"000000": ".bin"}
+    sources = {name: ScanSource(path, suffixes) for name, path in folder_by_sequence.items()}
+    out = tmp_path / "out"
+    out.mkdir()
+    Manifest(out).write(StageRecord(stage="predict", settings={}, scans=sources))
+    assert words_of(FUSE, out, scans[:1]) == ["salsanext", "fuse", str(out)]
+    copied = copytree(old, tmp_path / "copy")
+    first = find_scans(copied / data_set)[:1]
+    assert words_of(FUSE, out, first) == ["salsanext", "fuse", str(out)], "others are refused"
+    moved = old.rename(tmp_path / "new data") / data_set
+    first = find_scans(moved)[:1]
+    assert words_of(FUSE, out, first)[2:] == [str(out), "--dataset", str(moved)]
 
 
 def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):

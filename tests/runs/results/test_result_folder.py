@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Results and their scans: located, read, refused."""
 
+import shutil
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scans import SMALL, make_scan, refused, write_array, write_bin, write_sequence
@@ -14,8 +17,10 @@ from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, Out
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.io.formats.ply import write_ply
+from salsanext_cli.runs.results.moved_scans import MovedFolder, moved_folder
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import ScanResults, scalar_columns
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
@@ -39,6 +44,31 @@ def test_scans_are_in_the_recorded_or_the_given_data_set(world):
         with refused(NoInputError, world.out / "sequences/00"):
             ResultFolder(world.out, dataset).scans()
     assert ResultFolder(world.out, moved).scans() == find_scans(moved)
+
+
+def test_scans_are_moved_if_their_recorded_files_are_gone(world, tmp_path):
+    scans = find_scans(world.data)
+    ask(world, scans)
+    copied = find_scans(shutil.copytree(world.data, tmp_path / "copy"))
+    assert moved_folder(world.out, scans) is None
+    assert moved_folder(world.out, copied) is None
+    scans[0].path.unlink()
+    assert moved_folder(world.out, copied) is None, "scans of another sequence are there"
+    move = MovedFolder(before=scans[0].path.parent, now=copied[0].path.parent)
+    assert moved_folder(world.out, copied[:1]) == move
+    renamed = replace(copied[0], path=copied[0].path.with_suffix(".ply"))
+    assert moved_folder(world.out, [renamed]) is None
+
+
+def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
+    recording = tmp_path / "drive.bag"
+    recording.touch()
+    ask(world, [ScanFile(sequence="drive", stem="1", path=recording / "points/1")])
+    now = tmp_path / "elsewhere/drive.bag/points"
+    scan = ScanFile(sequence="drive", stem="1", path=now / "1")
+    assert moved_folder(world.out, [scan]) is None
+    recording.unlink()
+    assert moved_folder(world.out, [scan]) == MovedFolder(before=recording / "points", now=now)
 
 
 def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path):
