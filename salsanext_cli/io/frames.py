@@ -15,13 +15,14 @@ from salsanext_cli.core.plain_data import MALFORMED, decoded
 from salsanext_cli.core.records import Origin
 from salsanext_cli.core.texts import with_hint
 from salsanext_cli.io.files.json_files import encode_json
-from salsanext_cli.io.files.reading import present, reading
+from salsanext_cli.io.files.reading import filled, present, reading
 
 FRAMES = "frames.json"
 EXPECTED = "three finite numbers by scan"
 HINT = (
     'for scans in map coordinates, give three metres by name, as {"000000": [460000, 5430000, 0]}'
 )
+HINT_OF_DAMAGE = f"{HINT}; if another program wrote the file, move it away"
 
 log = logging.getLogger(__name__)
 
@@ -55,8 +56,19 @@ def read_frames(path: Path) -> dict[str, Origin]:
         if not np.isfinite(list(frames.values())).all():
             raise ValueError("a frame that is not finite")
     except (*MALFORMED, OverflowError) as error:
-        raise FormatError(path, "is damaged", EXPECTED, HINT) from error
+        raise FormatError(path, "is damaged", EXPECTED, HINT_OF_DAMAGE) from error
     return frames
+
+
+def read_written_frames(path: Path) -> dict[str, Origin]:
+    """Read a file of frames of an output folder; an empty one, as after a power cut, has none.
+
+    Raises
+    ------
+    FormatError
+        As of `read_frames`.
+    """
+    return read_frames(path) if filled(path) else {}
 
 
 def is_ignored(path: Path) -> bool:
@@ -71,7 +83,7 @@ def _content(path: Path) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FormatError(path, "is damaged: is not JSON", EXPECTED, HINT) from error
+        raise FormatError(path, "is damaged: is not JSON", EXPECTED, HINT_OF_DAMAGE) from error
 
 
 def _has_frames(content: Any) -> bool:

@@ -5,7 +5,7 @@ import pytest
 from scans import refused
 
 from salsanext_cli.core.errors import FormatError
-from salsanext_cli.io.frames import encode_frames, is_ignored, read_frames
+from salsanext_cli.io.frames import encode_frames, is_ignored, read_frames, read_written_frames
 
 
 def test_frames_are_read_as_written(tmp_path):
@@ -45,7 +45,21 @@ def test_other_contents_are_no_frames_and_a_warning_names_the_file(tmp_path, cap
 def test_damaged_frames_are_refused(tmp_path, content):
     path = tmp_path / "frames.json"
     path.write_text(content)
-    refused(FormatError, path, read_frames, path)
+    caught = refused(FormatError, path, read_frames, path)
+    assert "another program" in caught.value.hint
+
+
+def test_an_empty_file_of_an_output_folder_has_no_frames(tmp_path):
+    """A power cut leaves it."""
+    path = tmp_path / "frames.json"
+    assert read_written_frames(path) == {}
+    path.write_bytes(b"")
+    assert read_written_frames(path) == {}
+    path.write_bytes(b"\0")
+    refused(FormatError, path, read_written_frames, path)
+    frames = {"000000": (0.0, -1e4, 0.0)}
+    path.write_bytes(encode_frames(frames))
+    assert read_written_frames(path) == frames
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):

@@ -18,7 +18,7 @@ from salsanext_cli.io.formats.kitti import encode_bin
 from salsanext_cli.io.formats.recording_kinds import RECORDING_KINDS, kind_of
 from salsanext_cli.io.formats.recordings import recorded_poses, recording_of
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
+from salsanext_cli.io.frames import FRAMES, encode_frames, read_written_frames
 from salsanext_cli.io.poses import encode_poses
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.manifest import StageRecord
@@ -135,7 +135,7 @@ def _add_frames(
 
     A run that was interrupted wrote scans without their frames, which are read again.
     """
-    recorded = read_frames(path)
+    recorded = read_written_frames(path)
     frames = {scan.stem: scan.frame for scan in converted}
     for scan in written:
         if scan.stem not in frames and scan.stem not in recorded:

@@ -22,7 +22,7 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.io.annotation_tools.registry import tool_named
 from salsanext_cli.io.annotation_tools.tool import AnnotationTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
+from salsanext_cli.runs.annotation.map_frames import add_frames, refuse_lost_frames
 from salsanext_cli.runs.annotation.picked_data_set import (
     NAMED,
     STAGE,
@@ -128,8 +128,7 @@ def pick(
     network = prepared.network
     by_poses = prepared.origins
     with data_set.open():
-        record = data_set.earlier(prepared.settings, overwrite=options.overwrite)
-        _require_places(prepared, labelling_tool, record)
+        record = _earlier(prepared, labelling_tool, options)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
             _add_files_of_tool(prepared, labelling_tool, record)
@@ -151,7 +150,7 @@ def pick(
             samples=SAMPLES,
             data_set=data_set,
             origins=origins,
-            frames=frames_beside(prepared.files(record)),
+            frames=prepared.frames,
         )
         task = sampling_task(write, resolved, network)
         outcome = _written(task, prepared, record, options)
@@ -201,9 +200,20 @@ def plan_pick(
         labelled=labelled,
         names=names,
     )
-    record = prepared.data_set.earlier(prepared.settings, overwrite=options.overwrite)
-    _require_places(prepared, labelling_tool, record)
+    record = _earlier(prepared, labelling_tool, options)
     return PickPlan.from_prepared(prepared, record)
+
+
+def _earlier(
+    prepared: PreparedPick, tool: AnnotationTool | None, options: RunOptions
+) -> PickRecord | None:
+    """Return the record of an earlier run to go on with, None for a new pick; or refuse the run."""
+    data_set = prepared.data_set
+    record = data_set.earlier(prepared.settings, overwrite=options.overwrite)
+    if record is None:
+        refuse_lost_frames(data_set, prepared.scans)
+    _require_places(prepared, tool, record)
+    return record
 
 
 def _require_places(

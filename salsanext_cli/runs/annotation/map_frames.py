@@ -11,7 +11,14 @@ from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.records import Origin, Scan
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES, HINT, encode_frames, is_ignored, read_frames
+from salsanext_cli.io.frames import (
+    FRAMES,
+    HINT,
+    encode_frames,
+    is_ignored,
+    read_frames,
+    read_written_frames,
+)
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile
@@ -76,6 +83,29 @@ def refuse_ignored_frames(scans: Iterable[ScanFile]) -> None:
             raise FormatError(path, problem, "frames", f"{HINT}; without them, move the file away")
 
 
+def refuse_lost_frames(owned: OwnedFolder, scans: Iterable[ScanFile]) -> None:
+    """Refuse scans of sequences whose earlier copies have frames, as `refuse_ignored_frames` does.
+
+    Parameters
+    ----------
+    owned : OwnedFolder
+        Folder with the earlier copies.
+    scans : iterable of ScanFile
+        Scans that may take the place of the earlier ones.
+
+    Raises
+    ------
+    FormatError
+        If another program wrote a file with the name of frames.
+    """
+    by_sequence: dict[str, list[ScanFile]] = {}
+    for scan in scans:
+        by_sequence.setdefault(scan.sequence, []).append(scan)
+    for members in by_sequence.values():
+        if read_written_frames(_path(owned, members[0])):
+            refuse_ignored_frames(members)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChangedFrames:
     """File of the frames of copies of scans, which has to change."""
@@ -92,7 +122,7 @@ def add_frames(owned: OwnedFolder, frames: Mapping[ScanFile, Origin]) -> None:
     a frame.
     """
     moved = [scan for scan, frame in frames.items() if frame != NO_SHIFT]
-    recorded = {path: read_frames(path) for path in {_path(owned, scan) for scan in moved}}
+    recorded = {path: read_written_frames(path) for path in {_path(owned, scan) for scan in moved}}
     added = [scan for scan in moved if scan.stem not in recorded[_path(owned, scan)]]
     write_frames(owned, changed_frames(owned, added, frames))
 
@@ -126,7 +156,7 @@ def changed_frames(
     for path, group in groupby(sorted(scans), lambda scan: _path(owned, scan)):
         members = list(group)
         current = {scan.stem: frames.get(scan, NO_SHIFT) for scan in members}
-        recorded = read_frames(path)
+        recorded = read_written_frames(path)
         combined = {
             stem: frame for stem, frame in (recorded | current).items() if frame != NO_SHIFT
         }

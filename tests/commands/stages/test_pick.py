@@ -31,8 +31,8 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.io.frames import read_frames
-from salsanext_cli.runs.annotation.map_frames import frames_beside
+from salsanext_cli.io.frames import FRAMES, read_frames
+from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.annotation.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
@@ -294,6 +294,20 @@ def test_frames_are_written_although_a_scan_fails(drive, monkeypatch):
     assert read_frames(frames) == dict.fromkeys(stems[1:], (10_000.0, 0.0, 0.0))
     assert run(drive).outcome.failures == ()
     assert [*read_frames(frames)] == sorted(stems[:3])
+
+
+@pytest.mark.parametrize("content", ['{"000000": [690000, 5330000, NaN]}', "[]"])
+def test_frames_that_are_damaged_or_gone_to_another_program_lose_no_picked_scans(picked, content):
+    scans = find_scans(picked.data)
+    add_frames(PickedDataSet(picked.out), {scans[0]: (690_000.0, 5_330_000.0, 0.0)})
+    path = picked.data / "sequences/08" / FRAMES
+    path.write_text(content)
+    before = files_below(picked.out)
+    refused(FormatError, path, run, picked, overwrite=True)
+    again = RunOptions(overwrite=True)
+    how = {"settings": picked.network, "options": again}
+    refused(FormatError, path, plan_pick, picked.data, picked.out, **how)
+    assert files_below(picked.out) == before
 
 
 def test_all_of_too_few(drive, caplog):

@@ -6,14 +6,17 @@ from dataclasses import replace
 import pytest
 from scans import make_scan, refused, write_sequence
 
-from salsanext_cli.core.errors import OutputError
+from salsanext_cli.core.errors import FormatError, OutputError
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.runs.annotation.map_frames import (
     add_frames,
+    changed_frames,
     digest_of_frames,
     frame_of,
     frames_beside,
+    refuse_lost_frames,
+    write_frames,
 )
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.scans.scan_search import find_scans
@@ -74,3 +77,27 @@ def test_edited_frames_of_copies_stay_and_are_refused_if_one_is_missing(tmp_path
     refused(OutputError, path, add_frames, data_set, {first: FRAME, second: FRAME})
     assert path.read_bytes() == edited
     assert data_set.foreign_files([path]) == [path]
+
+
+def test_an_empty_file_of_copies_is_written_again(scans, tmp_path):
+    """A power cut leaves it."""
+    data_set = PickedDataSet(tmp_path / "out")
+    path = tmp_path / "out/sequences/08/frames.json"
+    add_frames(data_set, {scans[3]: FRAME})
+    path.write_bytes(b"")
+    add_frames(data_set, {scans[3]: FRAME})
+    assert read_frames(path) == {"000001": FRAME}
+    path.write_bytes(b"")
+    write_frames(data_set, changed_frames(data_set, scans, frames_beside(scans)))
+    assert read_frames(path) == {"000001": FRAME}
+
+
+def test_an_ignored_file_is_refused_if_copies_of_its_sequence_have_frames(scans, tmp_path):
+    data_set = PickedDataSet(tmp_path / "out")
+    for scan in (scans[0], scans[3]):
+        scan.path.parent.with_name(FRAMES).write_text("[]")
+    refuse_lost_frames(data_set, scans)
+    add_frames(data_set, {scans[3]: FRAME})
+    refuse_lost_frames(data_set, scans[:2])
+    source = scans[2].path.parent.with_name(FRAMES)
+    refused(FormatError, source, refuse_lost_frames, data_set, scans[:3])
