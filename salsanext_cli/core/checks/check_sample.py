@@ -20,7 +20,7 @@ MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; re
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CheckSample:
-    """Measured points of a scan, without those of the vehicle.
+    """Measured points of a scan, without points on the vehicle.
 
     Attributes
     ----------

@@ -48,7 +48,7 @@ def place_problem(
     scan : Scan
         Scan in the frame of its file.
     sample : Scan
-        Measured points of it in the frame of the sensor, without those of the vehicle.
+        Measured points of it in the frame of the sensor, without points on the vehicle.
     ground : Ground, optional
         Ground of the sample.
     sensor : Sensor

@@ -10,7 +10,7 @@ MS = 1e-3
 
 
 class DeviceTime:
-    """Times of calls on a device, from the first work that each hands over to the last.
+    """Times of calls on a device, each from the start of its first work to the end of its last.
 
     On a GPU this is an upper bound of its work: pauses between the pieces of a call count too,
     while the host prepares the next one.

@@ -50,7 +50,7 @@ class ScanToEstimate(ScanForDevice):
 class DeviceEstimator:
     """Estimates the uncertainty of scans on the device of a network in torch; an `Estimator`.
 
-    Masks and noise are those of the CPU.
+    Masks and noise have the values that they have on a CPU.
 
     Attributes
     ----------

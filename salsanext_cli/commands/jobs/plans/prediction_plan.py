@@ -50,11 +50,10 @@ def prepare_prediction(
 ) -> PreparedPrediction:
     """Load and fit the network, and find the scans; arguments as of `predict_scans`."""
     typed = settings.named()
-    if origin is not None:
-        typed["origin"] = origin
     if batch is not None and batch < 1:
         raise UsageError(argument("batch"), str(batch), "at least 1, or auto")
     if origin is not None:
+        typed["origin"] = origin
         reader = settings.named_sensor() or settings.trained_sensor()
         settings = replace(settings, origin=origin_in_frame(origin, scans_of(source), reader))
     network = settings.load()

@@ -167,7 +167,8 @@ class BatchMaker:
         columns = window_columns(truth, scored, recipe.crop_width, recipe.crop_on_class, random)
         windows = columns_of(images, columns)
         statistics = random.put([samples.sensor.means, samples.sensor.stds])
-        means, stds = statistics[..., None, None]
+        means = statistics[0, :, None, None]
+        stds = statistics[1, :, None, None]
         normal = (windows[:, :TRUTH] - means) / stds
         is_empty = windows[:, RANGE : RANGE + 1] <= 0
         return normal.masked_fill(is_empty, 0), windows[:, TRUTH].byte()
