@@ -24,8 +24,8 @@ from salsanext_cli.runs.drives.scans_of_drive import drive_findings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.folder_names import DISAGREEMENT, FUSED
-from salsanext_cli.runs.results.moved_scans import moved_folder
 from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.scan_places import MovedFolder, ScanPlaces, scan_places
 from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
 from salsanext_cli.runs.scans.selection import scans_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
@@ -189,12 +189,10 @@ def _prepared(
     stop = options.on_error == "stop"
     # Other shards compute the drives of their sequences.
     sequences = sequences_of(options.shard.select(fusible.scans))
-    # The recorded place of scans that were moved stays.
-    moves = {folder: moved_folder(folder, fusible.scans) for folder in (out, target)}
-    for move in dict.fromkeys(moves.values()):
-        if move is not None:
-            text = "%s: scans of %s, which are no longer there, are taken from %s"
-            log.log(NOTICE, text, out, move.before, move.now)
+    # All scans of a drive vote, not only the selected ones.
+    voting = [file for name in fusible.sequences for file in fusible.members[name]]
+    places = {folder: scan_places(folder, voting) for folder in (out, target)}
+    _log_moves(places)
     return PreparedFusion(
         fusible=fusible,
         drives_by_poses=fusible.drives_by_poses(sequences, poses, stop=stop),
@@ -206,7 +204,8 @@ def _prepared(
             recorded=fusible.settings_of_votes(reach),
             folders=FOLDERS_OF_VOTES,
             overwrite=options.overwrite,
-            records_scans=moves[out] is None,
+            records_scans=places[out].is_to_record,
+            moved=places[out].moved_to,
         ),
         labels=PreparedRun(
             out=target,
@@ -216,9 +215,21 @@ def _prepared(
             recorded=fusible.settings_of_labels(reach, target),
             folders=(*FOLDERS_OF_VOTES, "predictions"),
             overwrite=options.overwrite,
-            records_scans=moves[target] is None,
+            records_scans=places[target].is_to_record,
+            moved=places[target].moved_to,
         ),
     )
+
+
+def _log_moves(places: Mapping[Path, ScanPlaces]) -> None:
+    """Print where moved scans of folders of results are; each move once."""
+    logged: set[MovedFolder] = set()
+    for folder, places_of_folder in places.items():
+        for move in places_of_folder.moved.values():
+            if move not in logged:
+                text = "%s: scans of %s, which are no longer there, are taken from %s"
+                log.log(NOTICE, text, folder, move.before, move.now)
+            logged.add(move)
 
 
 def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOptions) -> None:

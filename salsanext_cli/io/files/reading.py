@@ -104,6 +104,13 @@ def filled(path: Path) -> bool:
     return status is not None and status.st_size > 0
 
 
+def is_same_file(first: Path, second: Path) -> bool:
+    """Return whether two paths lead to one existing file."""
+    one = _status(first)
+    other = _status(second)
+    return one is not None and other is not None and os.path.samestat(one, other)
+
+
 def _status(path: Path) -> os.stat_result | None:
     try:
         return path.stat()

@@ -12,15 +12,17 @@ from pathlib import Path
 from salsanext_cli.core.wording import command, setting
 from salsanext_cli.runs.results.folder_names import ERROR
 from salsanext_cli.runs.results.manifest import Manifest
-from salsanext_cli.runs.results.moved_scans import moved_folder
 from salsanext_cli.runs.results.repeated_settings import (
     extras_of_run,
     network_record,
     settings_of_run,
 )
-from salsanext_cli.runs.results.scan_arguments import are_moved, moved_data_set, scan_arguments
+from salsanext_cli.runs.results.scan_arguments import scan_arguments
+from salsanext_cli.runs.results.scan_places import PlaceState, moved_data_set, scan_places
 from salsanext_cli.runs.scans.scan_file import ScanFile
 
+UNKNOWN_DATA_SET = "DATASET"
+"""Word for a data set where no folder has the scans of all sequences."""
 WITHOUT_NOISE = "none"  # Value of `UncertaintyMethod.aleatoric`
 
 
@@ -66,8 +68,9 @@ class MakingCommand:
             words += arguments.sources
             settings += arguments.settings()
             settings += settings_of_run(Manifest(out), self.omitted)
-        elif moved_folder(out, scans):
-            settings.append(setting("dataset", moved_data_set(out, scans)))
+        elif scan_places(out, scans).state is PlaceState.MOVED:
+            data_set = moved_data_set(out, scans) or UNKNOWN_DATA_SET
+            settings.append(setting("dataset", data_set))
         if self.stage == "predict":
             settings += extras_of_run(Manifest(out), self.extras)
         sampled = Manifest(out).settings("uncertainty") if self.stage == "uncertainty" else None
@@ -82,8 +85,11 @@ class MakingCommand:
         return command(shlex.join([*words, str(target)]), *settings)
 
     def target(self, out: Path, scans: Sequence[ScanFile]) -> Path:
-        """Return the folder of the results: the same, or another one for scans that were moved."""
-        if self.stage == "fuse" or not are_moved(out, scans):
+        """Return the folder of the results: the same, or another one for scans that were moved.
+
+        A folder takes no further results of these, since they may be others of the same names.
+        """
+        if self.stage == "fuse" or scan_places(out, scans).are_recorded:
             return out
         return Path(f"{os.path.normpath(out)}-{self.stage}")
 

@@ -93,6 +93,8 @@ class StageRecord:
     writes: tuple[str, ...] = ()  # Folders of results, keys of `SUFFIX_OF_FOLDER`
     # By sequence; empty for a stage that works on the results of earlier stages
     scans: Mapping[str, ScanSource] = field(default_factory=dict)
+    # Last folder by sequence where a run found scans that an earlier stage recorded elsewhere
+    moved: Mapping[str, str] = field(default_factory=dict)
     # Files of other settings or origin that were not removed, as paths below the folder
     foreign: tuple[str, ...] = ()
     weights_file: str = ""  # Absolute path that the last run was given; empty for the default
@@ -107,7 +109,7 @@ class StageRecord:
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of the record's file, long values last."""
-        names = ["stage", "version", "writes", "settings", "scans", "foreign"]
+        names = ["stage", "version", "writes", "settings", "scans", "moved", "foreign"]
         names += ["weights_file", "options"]
         content = {name: plain(getattr(self, name)) for name in names}
         return {name: value for name, value in content.items() if value or name == "settings"}

@@ -1,46 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Scans of a sequence of results, whose folder may have been moved or renamed since."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from salsanext_cli.core.errors import NoInputError
 from salsanext_cli.io.files.reading import present
-from salsanext_cli.io.formats.recordings import recording_of
-from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_search import find_scans, scans_at_top, scans_of_sequences
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MovedFolder:
-    """Folder of scans that was moved since results were computed."""
-
-    before: Path
-    now: Path
-
-
-def moved_folder(out: Path, scans: Iterable[ScanFile]) -> MovedFolder | None:
-    """Return the first moved folder of scans with results in a folder.
-
-    None if no scan was moved. None also if a recorded file still exists where a scan is elsewhere:
-    that scan may be of another data set.
-    """
-    sources = Manifest(out).sources()
-    now_by_folder: dict[Path, Path] = {}
-    for scan in scans:
-        source = sources.get(scan.sequence)
-        recorded = source.path(scan) if source else scan.path
-        if recorded == scan.path:
-            continue
-        if recorded.name != scan.path.name or present(recorded):
-            return None
-        now_by_folder.setdefault(recorded.parent, scan.path.parent)
-    if not now_by_folder or any(map(recording_of, now_by_folder)):
-        return None
-    before = min(now_by_folder)
-    return MovedFolder(before=before, now=now_by_folder[before])
 
 
 def recorded_scans(folder: Path, sequence: str, suffixes: Mapping[str, str]) -> list[ScanFile]:

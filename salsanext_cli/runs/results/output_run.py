@@ -209,6 +209,7 @@ class OutputRun(OwnedFolder):
             settings=settings,
             writes=tuple(sorted({*continued.writes, *new.writes})),
             scans=merged_sources((continued.scans, new.scans)),
+            moved={**continued.moved, **new.moved},
             foreign=tuple(sorted({*continued.foreign, *names})),
         )
 
@@ -295,6 +296,7 @@ def output_run(
     *,
     overwrite: bool,
     record_scans: bool = True,
+    moved: Mapping[str, str] = MappingProxyType({}),
     weights: Path | None = None,
     options: Mapping[str, object] = MappingProxyType({}),
 ) -> Iterator[OutputRun]:
@@ -320,6 +322,8 @@ def output_run(
         Whether existing results are replaced.
     record_scans : bool
         Whether to record where the scans are; not for a stage on the scans of an earlier one.
+    moved : mapping of str to str
+        Folder by sequence of scans that were moved since an earlier stage recorded them.
     weights : Path, optional
         File that the user named, whose path is recorded.
     options : mapping of str to object
@@ -337,6 +341,7 @@ def output_run(
         settings=settings_json(settings),
         writes=tuple(sorted(run.folders)),
         scans=sources,
+        moved=moved,
         weights_file=str(weights.absolute()) if weights else "",
         options=options,
     )

@@ -155,18 +155,24 @@ class ResultFolder:
         return NoInputError(self.root, "is a data set", "a folder with results", hint)
 
     def _scans_of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
-        """Find the scans of a sequence: those that were recorded, else those of the data set."""
+        """Find the scans of a sequence: those that were recorded, else those of the data set.
+
+        Only scans that no run recorded are looked for in the current folder: others of their names
+        may be there while the recorded ones are out of reach.
+        """
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
             scans = recorded_scans(folder, sequence, source.suffixes)
             if scans:
                 return scans
-        root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
-        scan_folder = root / "sequences" / sequence / SCAN_FOLDER
-        if is_folder(scan_folder):
-            return find_scans(scan_folder, unique=False)
-        if is_folder(root if self.dataset else root / "sequences"):
-            return find_scans(root, [sequence], unique=False)
+        variable = os.environ.get(DATASET_VARIABLE, "")
+        root = self.dataset or Path(variable)
+        if self.dataset or variable or source is None:
+            scan_folder = root / "sequences" / sequence / SCAN_FOLDER
+            if is_folder(scan_folder):
+                return find_scans(scan_folder, unique=False)
+            if is_folder(root if self.dataset else root / "sequences"):
+                return find_scans(root, [sequence], unique=False)
         if is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
             raise self._is_data_set()
         problem = f"no scans of it in {self.dataset or folder or root.absolute()}"

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,6 +14,7 @@ from salsanext_cli.core.wording import setting
 from salsanext_cli.io.files.reading import identity, is_folder, present
 from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.manifest import RESULT_STAGES, Manifest, ScanSource
+from salsanext_cli.runs.results.scan_places import folders_now
 from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_folders import folders_in
@@ -65,30 +65,13 @@ def scan_arguments(out: Path, scans: Sequence[ScanFile]) -> ScanArguments:
     """
     if not scans:
         return UNKNOWN
-    folders = _folders_now(Manifest(out), scans)
+    folders = folders_now(Manifest(out), scans)
     paths = [*map(Manifest(out).path, RESULT_STAGES), *map(Path, sorted({*folders.values()}))]
     state = tuple(map(identity, paths))
     recorded = _asked_for(out.absolute(), tuple(sorted(folders.items())), state)
     if recorded.scans.isdisjoint(scans):
         return _whole(scans[0])
     return recorded.arguments
-
-
-def are_moved(out: Path, scans: Iterable[ScanFile]) -> bool:
-    """Return whether scans are not where the runs in a folder recorded them.
-
-    Such a folder takes no further results of them, since they may be others of the same names.
-    """
-    return any(folder != now for folder, now in _folders_now(Manifest(out), scans).items())
-
-
-def moved_data_set(out: Path, scans: Sequence[ScanFile]) -> Path:
-    """Return the data set of scans that were moved, else the common folder of all recorded ones."""
-    data_set = data_set_of(scans[0])
-    if data_set is not None:
-        return data_set
-    # A stage on the results of all drives finds none of them in the folder of another.
-    return Path(os.path.commonpath(_folders_now(Manifest(out), scans).values()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,22 +101,6 @@ def _asked_for(out: Path, folders: tuple[tuple[str, str], ...], _: tuple[object,
         scans += _scans_of_sources(Path(folder), in_folder, sources)
     arguments = _arguments(sorted(scans), sorted(present_scans))
     return _AskedFor(scans=frozenset(scans), arguments=arguments)
-
-
-def _folders_now(records: Manifest, scans: Iterable[ScanFile]) -> dict[str, str]:
-    """Return where each recorded folder is, if all moved together with that of a scan."""
-    by_sequence: dict[str, str] = {}
-    for record in records.records().values():
-        by_sequence.update({name: source.folder for name, source in record.scans.items()})
-    scan = next((scan for scan in scans if scan.sequence in by_sequence), None)
-    if scan is None:
-        return {}
-    now = scan.path.parent
-    before = by_sequence[scan.sequence]
-    return {
-        folder: os.path.normpath(now / os.path.relpath(folder, before))
-        for folder in by_sequence.values()
-    }
 
 
 def _scans_in(folder: Path) -> list[ScanFile]:

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Results and their scans: located, read, refused."""
 
-import shutil
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scans import SMALL, make_scan, refused, write_array, write_bin, write_sequence
@@ -17,10 +14,8 @@ from salsanext_cli.core.errors import FormatError, LabelError, NoInputError, Out
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.formats.kitti_labels import write_labels
 from salsanext_cli.io.formats.ply import write_ply
-from salsanext_cli.runs.results.moved_scans import MovedFolder, moved_folder
 from salsanext_cli.runs.results.result_folder import ResultFolder
 from salsanext_cli.runs.results.scan_results import ScanResults, scalar_columns
-from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
@@ -46,31 +41,6 @@ def test_scans_are_in_the_recorded_or_the_given_data_set(world):
     assert ResultFolder(world.out, moved).scans() == find_scans(moved)
 
 
-def test_scans_are_moved_if_their_recorded_files_are_gone(world, tmp_path):
-    scans = find_scans(world.data)
-    ask(world, scans)
-    copied = find_scans(shutil.copytree(world.data, tmp_path / "copy"))
-    assert moved_folder(world.out, scans) is None
-    assert moved_folder(world.out, copied) is None
-    scans[0].path.unlink()
-    assert moved_folder(world.out, copied) is None, "scans of another sequence are there"
-    move = MovedFolder(before=scans[0].path.parent, now=copied[0].path.parent)
-    assert moved_folder(world.out, copied[:1]) == move
-    renamed = replace(copied[0], path=copied[0].path.with_suffix(".ply"))
-    assert moved_folder(world.out, [renamed]) is None
-
-
-def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
-    recording = tmp_path / "drive.bag"
-    recording.touch()
-    ask(world, [ScanFile(sequence="drive", stem="1", path=recording / "points/1")])
-    now = tmp_path / "elsewhere/drive.bag/points"
-    scan = ScanFile(sequence="drive", stem="1", path=now / "1")
-    assert moved_folder(world.out, [scan]) is None
-    recording.unlink()
-    assert moved_folder(world.out, [scan]) == MovedFolder(before=recording / "points", now=now)
-
-
 def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path):
     drive, place = write_sequence(tmp_path / "drive"), "velodyne"
     predict_scans(drive / place, world.out, settings=world.network)
@@ -81,6 +51,21 @@ def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path):
     assert (scan.sequence, scan.stem) == ("drive", "000000")
     assert scan.path == moved / "velodyne/000000.bin"
     assert scan.label_path == moved / "labels/000000.label"
+
+
+def test_recorded_scans_are_not_looked_for_in_the_current_folder(world, monkeypatch):
+    """Scans of another data set have the same names."""
+    ask(world, find_scans(world.data))
+    world.predict_by_hand()
+    moved = world.data.rename(world.data.with_name("moved"))
+    monkeypatch.chdir(moved)
+    monkeypatch.setenv("SALSANEXT_DATASET", "")
+    with refused(NoInputError, world.out / "sequences/00") as caught:
+        ResultFolder(world.out).scans()
+    assert str(world.data) in caught.value.problem
+    assert "dataset" in caught.value.hint
+    monkeypatch.setenv("SALSANEXT_DATASET", str(moved))
+    assert ResultFolder(world.out).scans() == find_scans(moved)
 
 
 def test_scans_of_unrecorded_results_are_in_the_working_directory(world, monkeypatch):

@@ -33,6 +33,8 @@ class PreparedRun:
         Whether existing results are replaced.
     records_scans : bool
         Whether the record states where the scans are.
+    moved : mapping of str to str
+        Folder by sequence where scans are that were moved since an earlier stage recorded them.
     weights : Path, optional
         File that the user named, whose path is recorded.
     options : mapping of str to object
@@ -47,6 +49,7 @@ class PreparedRun:
     folders: tuple[str, ...]
     overwrite: bool
     records_scans: bool = True
+    moved: Mapping[str, str] = field(default_factory=dict)
     weights: Path | None = None
     options: Mapping[str, object] = field(default_factory=dict)
 
@@ -60,6 +63,7 @@ class PreparedRun:
             self.scans,
             overwrite=self.overwrite,
             record_scans=self.records_scans,
+            moved=self.moved,
             weights=self.weights,
             options=self.options,
         )

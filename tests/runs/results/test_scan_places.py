@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: MIT
+"""Places of scans: scans that were moved are fused, those of other data sets are not."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from command_line import called
+from scans import files_below, refused, write_bin, write_sequence
+from world import Stored, begin_and_end
+
+from salsanext_cli import read_scan
+from salsanext_cli.commands.line.options.option_names import CommandLine
+from salsanext_cli.commands.stages.fuse import fuse_results, plan_fusion
+from salsanext_cli.commands.stages.predict import predict_scans
+from salsanext_cli.core.errors import NoInputError, OutputError
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.core.wording import spelled
+from salsanext_cli.runs.loop.run_options import RunOptions, Shard
+from salsanext_cli.runs.results.making_commands import FUSE
+from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
+from salsanext_cli.runs.results.scan_places import MovedFolder, PlaceState, ScanPlaces, scan_places
+from salsanext_cli.runs.scans.scan_file import ScanFile
+from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.runs.scans.scan_selection import ScanSelection
+
+POSE = b"1 0 0 0 0 1 0 0 0 0 1 0\n"
+FIRST = ResultQuery(selection=ScanSelection(limit=1))
+OTHER = ScanPlaces(state=PlaceState.OTHER)
+
+
+def vote(world):
+    """Predict drives of one and of two scans, which do not move, with votes."""
+    shutil.copy(world.scan(), world.scan(stem="000001"))
+    for sequence, count in (("00", 1), ("08", 2)):
+        (world.data / "sequences" / sequence / "poses.txt").write_bytes(POSE * count)
+    predict_scans(world.data, world.out, settings=world.network, extras=("votes",))
+
+
+@pytest.fixture(scope="module")
+def once_voted(tmp_path_factory, weights):
+    return Stored(tmp_path_factory.mktemp("voted"), weights, vote)
+
+
+@pytest.fixture
+def voted(once_voted):
+    """Return the world with votes in the drives."""
+    return once_voted.restored()
+
+
+def other_data(world, folder: Path) -> Path:
+    """Write other scans with the names and numbers of points of those of the world."""
+    shutil.copytree(world.data, folder)
+    for path in folder.glob("sequences/*/velodyne/*.bin"):
+        scan = read_scan(path)
+        write_bin(path, replace(scan, points=scan.points[:, [1, 0, 2]]))
+    return folder
+
+
+def ask(world, scans):
+    """Write the record that `predict` writes before its first scan."""
+    begin_and_end(world.out, "predict", {}, ["predictions"], scans)
+
+
+def test_scans_of_the_current_folder_are_not_fused_while_the_recorded_ones_are_gone(
+    voted, tmp_path, monkeypatch
+):
+    other = other_data(voted, tmp_path / "other")
+    before = files_below(voted.out)
+    voted.data.rename(tmp_path / "unmounted")
+    monkeypatch.chdir(other)
+    monkeypatch.delenv(DATASET_VARIABLE, raising=False)
+    for function in (fuse_results, plan_fusion):
+        refused(NoInputError, voted.out / "sequences/00", function, voted.out)
+    result = called("fuse", voted.out, status=1)
+    assert "--dataset" in result.stderr
+    assert files_below(voted.out) == before
+
+
+def test_the_place_of_moved_scans_is_recorded_beside_their_votes(voted, tmp_path, monkeypatch):
+    other = other_data(voted, tmp_path / "other")
+    hidden = voted.data.rename(tmp_path / "unmounted")
+    monkeypatch.setenv(DATASET_VARIABLE, str(other))
+    assert fuse_results(voted.out).done == 3
+    record = json.loads((voted.out / "fuse.json").read_bytes())
+    places = {name: str(other / "sequences" / name / "velodyne") for name in ("00", "08")}
+    assert record["moved"] == places
+    assert "scans" not in record, "further results are of those that `predict` recorded"
+    # Labels by votes of the other scans are not taken for those of the recorded ones.
+    hidden.rename(voted.data)
+    before = files_below(voted.out / "sequences")
+    refused(OutputError, voted.out / "fused", fuse_results, voted.out)
+    refused(OutputError, voted.out, fuse_results, voted.out, tmp_path / "second")
+    assert files_below(voted.out / "sequences") == before
+    again = RunOptions(overwrite=True)
+    assert fuse_results(voted.out, tmp_path / "third", options=again).done == 3
+
+
+def test_scans_that_vote_are_those_of_the_recorded_place_although_others_are_selected(
+    voted, tmp_path
+):
+    other = other_data(voted, tmp_path / "other")
+    shutil.rmtree(voted.data / "sequences/00")
+    voted.scan().unlink()
+    drive = replace(FIRST, dataset=other, selection=ScanSelection(sequences=("08",), limit=1))
+    shard = RunOptions(shard=Shard(1, 2))
+    before = files_below(voted.out)
+    refused(OutputError, voted.out, fuse_results, voted.out, query=drive)
+    refused(OutputError, voted.out, plan_fusion, voted.out, query=drive, options=shard)
+    assert files_below(voted.out) == before
+
+
+def test_a_link_to_the_recorded_scans_is_no_other_place(voted, tmp_path, caplog):
+    link = tmp_path / "link"
+    link.symlink_to(voted.data)
+    with caplog.at_level(NOTICE):
+        linked = ResultQuery(dataset=link)
+        assert fuse_results(voted.out, query=linked).done == 3
+    assert "no longer there" not in caplog.text
+    assert "moved" not in json.loads((voted.out / "fuse.json").read_bytes())
+    assert fuse_results(voted.out).skipped == 3
+    assert scan_places(voted.out, find_scans(link)) == ScanPlaces(state=PlaceState.LINKED)
+
+
+def test_each_moved_folder_is_named_with_the_results_that_recorded_it(voted, tmp_path, caplog):
+    target = voted.out / "fused"
+    first = voted.data.rename(tmp_path / "first")
+    fuse_results(voted.out, query=ResultQuery(dataset=first))
+    second = first.rename(tmp_path / "second")
+    with caplog.at_level(NOTICE):
+        assert fuse_results(voted.out, query=ResultQuery(dataset=second)).skipped == 3
+    lines = [text for text in caplog.messages if "no longer there" in text]
+    expected = []
+    for out, before in ((voted.out, voted.data), (target, first)):
+        for name in ("00", "08"):
+            folder = f"sequences/{name}/velodyne"
+            words = f"scans of {before / folder}, which are no longer there, are taken from"
+            expected.append(f"{out}: {words} {second / folder}")
+    assert lines == expected
+
+
+def test_scans_are_moved_if_their_recorded_files_are_gone(world, tmp_path):
+    scans = find_scans(world.data)
+    ask(world, scans)
+    copied = find_scans(shutil.copytree(world.data, tmp_path / "copy"))
+    assert scan_places(world.out, scans) == ScanPlaces(state=PlaceState.RECORDED)
+    assert scan_places(world.out, copied) == OTHER
+    scans[0].path.unlink()
+    assert scan_places(world.out, copied) == OTHER, "scans of another sequence are there"
+    move = MovedFolder(before=scans[0].path.parent, now=copied[0].path.parent)
+    places = scan_places(world.out, copied[:1])
+    assert places == ScanPlaces(state=PlaceState.MOVED, moved={"00": move})
+    renamed = replace(copied[0], path=copied[0].path.with_suffix(".ply"))
+    assert scan_places(world.out, [renamed]) == OTHER
+
+
+def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
+    recording = tmp_path / "drive.bag"
+    recording.touch()
+    ask(world, [ScanFile(sequence="drive", stem="1", path=recording / "points/1")])
+    link = tmp_path / "link.bag"
+    link.symlink_to(recording)
+    for path, state in (
+        (link / "points/1", PlaceState.LINKED),
+        (link / "others/1", PlaceState.OTHER),
+        (tmp_path / "elsewhere/drive.bag/points/1", PlaceState.OTHER),
+    ):
+        scan = ScanFile(sequence="drive", stem="1", path=path)
+        assert scan_places(world.out, [scan]) == ScanPlaces(state=state)
+    recording.unlink()
+    move = MovedFolder(before=recording / "points", now=scan.path.parent)
+    places = scan_places(world.out, [scan])
+    assert places == ScanPlaces(state=PlaceState.MOVED, moved={"drive": move})
+
+
+def dataset_of_hint(world, scans) -> str:
+    """Return the data set that the command of a hint names."""
+    with spelled(CommandLine()):
+        return FUSE.text(world.out, scans).partition(" --dataset ")[2]
+
+
+def test_a_hint_names_a_data_set_only_if_all_drives_were_moved_there(world, tmp_path):
+    """`fuse` needs the scans of all results in one data set."""
+    scans = find_scans(world.data)
+    ask(world, scans)
+    new = tmp_path / "new"
+    (new / "sequences").mkdir(parents=True)
+    moved = (world.data / "sequences/08").rename(new / "sequences/08")
+    mixed = [scans[0], *find_scans(moved)]
+    assert [scan.sequence for scan in mixed] == ["00", "08", "08"]
+    assert dataset_of_hint(world, mixed) == "DATASET"
+    (world.data / "sequences/00").rename(new / "sequences/00")
+    assert dataset_of_hint(world, find_scans(new)) == str(new)
+
+
+def test_a_hint_names_none_of_several_data_sets(world, tmp_path):
+    names = {"first": "01", "second": "02"}
+    for data_set, sequence in names.items():
+        write_sequence(tmp_path / "old" / data_set / "sequences" / sequence)
+    ask(world, [scan for name in names for scan in find_scans(tmp_path / "old" / name)])
+    (tmp_path / "old").rename(tmp_path / "new")
+    assert dataset_of_hint(world, find_scans(tmp_path / "new/first")) == "DATASET"
+
+
+@pytest.mark.parametrize("second", ["old/d2", "far/from/d2"])
+def test_a_hint_names_the_folder_of_drives_only_if_all_were_moved_there(world, tmp_path, second):
+    drives = [tmp_path / "old/d1", tmp_path / second]
+    for drive in drives:
+        write_sequence(drive, ["000000"])
+    scans = [scan for drive in drives for scan in find_scans(drive)]
+    ask(world, scans)
+    assert [scan.sequence for scan in scans] == ["d1", "d2"]
+    (tmp_path / "new").mkdir()
+    first = find_scans(drives[0].rename(tmp_path / "new/d1"))
+    assert dataset_of_hint(world, first) == "DATASET"
+    if second == "old/d2":
+        drives[1].rename(tmp_path / "new/d2")
+        assert dataset_of_hint(world, first) == str(tmp_path / "new")
