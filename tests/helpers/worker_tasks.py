@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Work for all kinds of workers: light, and sometimes deadly."""
+"""Work for all kinds of workers: light, and sometimes deadly.
+
+Each worker process imports this file, and what it imports is most of the start of a process.
+"""
 
 import os
 import pickle
 import signal
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.core.compiled import thread_count
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.wording import argument
-from salsanext_cli.io.files.atomic import MARK, sweep, writing
+from salsanext_cli.io.files.atomic import writing
 from salsanext_cli.runs.loop.job import Attempt, Task
 from salsanext_cli.runs.loop.pipeline import opened
 from salsanext_cli.runs.loop.pool import chunks
-from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.runs.loop.run_options import RunOptions
 from salsanext_cli.runs.scans.scan_file import ScanFile
 
 
@@ -47,6 +49,18 @@ class Write:
         return scan.stem
 
 
+class Opens(Write):
+    """Record each process that opens this in a file."""
+
+    max_chunk_scans = 16
+
+    def open(self) -> Callable[[ScanFile], str]:
+        """Note the process."""
+        with (self.out / "opened").open("a") as file:
+            file.write(f"{os.getpid()}\n")
+        return self.__call__
+
+
 def name_argument(scan: ScanFile) -> str:
     """Return how this process spells an argument."""
     return argument("min_range")
@@ -54,7 +68,9 @@ def name_argument(scan: ScanFile) -> str:
 
 def threads_of_process(_: ScanFile) -> tuple[int, int]:
     """Return the number of threads of torch and of kernels."""
-    import torch  # here, since each worker imports this file, and torch takes most of its start
+    import torch  # here, since it takes a second, and numba half of one
+
+    from salsanext_cli.core.compiled import thread_count
 
     return torch.get_num_threads(), thread_count()
 
@@ -65,16 +81,6 @@ def scans_of(*stems: str, sequence: str = "s") -> list[ScanFile]:
         ScanFile(sequence=sequence, stem=stem, path=Path("/scans") / f"{stem}.bin")
         for stem in stems
     ]
-
-
-def run(work: Write, scans: Sequence[ScanFile], **options: object) -> Outcome:
-    """Run such work on the scans that have no file yet, and sweep up after killed workers."""
-    chosen = RunOptions(**options)  # type: ignore[arg-type]
-    try:
-        return run_over_scans(work, scans, chosen, is_done=lambda scan: work.path(scan).exists())
-    finally:
-        for folder in {work.path(scan).parent for scan in scans}:
-            sweep(folder, MARK.get())
 
 
 def attempts_in_process(

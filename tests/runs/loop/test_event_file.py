@@ -7,7 +7,8 @@ import threading
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from worker_tasks import Write, run, scans_of
+from worker_runs import run
+from worker_tasks import Write, scans_of
 
 from salsanext_cli.core.errors import FormatError, OutputError
 from salsanext_cli.runs.loop.event_file import EventFile, EventLog, opened_events

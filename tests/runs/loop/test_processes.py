@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 from devices import threads
-from scans import files_below, write_sequence
-from worker_tasks import Write, run, scans_of, threads_of_process
+from scans import files_below, salsanext_of, write_sequence, write_weights
+from shallow_network import SHALLOW
+from worker_runs import run
+from worker_tasks import Write, scans_of, threads_of_process
 
 from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.commands.stages.uncertainty import uncertainty
@@ -36,13 +38,12 @@ def everything(data, out, weights, **options):
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory, weights):
-    """Return a data set of two sequences, and the results of one process on one thread."""
-    folder = tmp_path_factory.mktemp("alone")
+def data(tmp_path_factory):
+    """Return a data set of two sequences."""
+    folder = tmp_path_factory.mktemp("data")
     write_sequence(folder / "sequences/00", ["000000"], seed=7)
     write_sequence(folder / "sequences/08", ["000000", "000001", "000002"])
-    with threads(1):
-        return folder, everything(folder, folder / "out", weights)
+    return folder
 
 
 @pytest.fixture
@@ -51,33 +52,48 @@ def two_cores(monkeypatch):
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "2")
 
 
-@pytest.mark.usefixtures("two_cores")
-def test_the_bytes_of_predict_do_not_depend_on_who_works(tmp_path, alone, weights):
-    data, expected = alone
-    found = predicted(data, tmp_path / "out", weights, jobs=2)
-    assert len(found) == 4 * 3 + 2
-    assert found.items() <= expected.items()
+@pytest.fixture
+def copies_in_process(workers_in_process, tmp_path):
+    """Have copies in this process as workers, and return weights of few levels and channels."""
+    with salsanext_of(**SHALLOW):
+        yield write_weights(tmp_path / "shallow.safetensors")
 
 
-@pytest.mark.parametrize(
-    "workers", ["workers_in_process", pytest.param("two_cores", marks=pytest.mark.slow)]
-)
-def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, workers, request):
-    """Copies in this process take the last scans first; processes of their own are slow."""
-    request.getfixturevalue(workers)
-    data, expected = alone
-    assert len(expected) == 4 * (3 + 3) + 3
-    assert everything(data, tmp_path / "out", weights, jobs=2) == expected
+@pytest.fixture
+def processes(two_cores, weights):
+    """Have processes as workers, and return weights that these can read."""
+    return weights
 
 
 @pytest.mark.usefixtures("two_cores")
 def test_cores_are_divided_among_the_workers():
+    """The next test has the same processes, which then have imported torch."""
     seen = []
     with threads(2):
         run_over_scans(
             threads_of_process, scans_of("a", "b"), RunOptions(jobs=2), on_result=seen.append
         )
     assert seen == [(1, 1)] * 2
+
+
+def test_the_bytes_of_predict_do_not_depend_on_who_works(tmp_path, data, processes):
+    with threads(1):
+        expected = predicted(data, tmp_path / "alone", processes)
+    found = predicted(data, tmp_path / "out", processes, jobs=2)
+    assert len(found) == 4 * 3 + 2
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    "workers", ["copies_in_process", pytest.param("processes", marks=pytest.mark.slow)]
+)
+def test_the_bytes_do_not_depend_on_who_works(tmp_path, data, workers, request):
+    """Copies in this process take the last scans first; processes of their own are slow."""
+    weights = request.getfixturevalue(workers)
+    with threads(1):
+        expected = everything(data, tmp_path / "alone", weights)
+    assert len(expected) == 4 * (3 + 3) + 3
+    assert everything(data, tmp_path / "out", weights, jobs=2) == expected
 
 
 def test_failures_are_named_and_the_rest_is_done(tmp_path, monkeypatch):

@@ -9,7 +9,8 @@ import threading
 
 import pytest
 from scans import write_sequence
-from worker_tasks import Write, run, scans_of
+from worker_runs import run
+from worker_tasks import Opens, Write, scans_of
 
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
@@ -27,17 +28,6 @@ def test_on_error_stop_raises_the_error_of_the_scan(tmp_path, options):
     assert "a" in written or options
     assert len(written) < 50
     assert not any(name.startswith(".") for name in written)
-
-
-class Opens(Write):
-    """Record the process that opens this."""
-
-    max_chunk_scans = 16
-
-    def open(self):
-        with (self.out / "opened").open("a") as file:
-            file.write(f"{os.getpid()}\n")
-        return self.__call__
 
 
 @LOCAL

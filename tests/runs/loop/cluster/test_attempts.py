@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from scans import files_below, refused, write_sequence
-from worker_tasks import Write, run, scans_of
+from worker_runs import run
+from worker_tasks import Write, scans_of
 
 from salsanext_cli.commands.line.options.option_names import CommandLine
 from salsanext_cli.commands.stages.predict import predict_scans

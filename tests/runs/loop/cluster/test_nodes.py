@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 from scans import refused
-from worker_tasks import Write, run, scans_of
+from worker_runs import run
+from worker_tasks import Write, scans_of
 
 from salsanext_cli.core.errors import UsageError, WorkersLost
 from salsanext_cli.io.files.atomic import MARK
@@ -191,7 +192,8 @@ def test_a_run_that_is_ended_keeps_what_is_finished_and_leaves_no_worker(tmp_pat
 ENDLESS = """
 import sys
 from pathlib import Path
-from worker_tasks import Write, run, scans_of
+from worker_runs import run
+from worker_tasks import Write, scans_of
 names = [f"{number:02d}" for number in range(40)]
 run(Write(Path(sys.argv[1]), 0.3), scans_of(*names), cluster=sys.argv[2])
 """
