@@ -4,6 +4,7 @@
 import copy
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scans import SMALL, make_scan, refused, write_weights
+from shallow_network import shallow  # noqa: F401
+from tiny_network import TinyNetwork
 from torch import nn
 
 from salsanext_cli import label_space, load_network, project, sample
@@ -24,6 +27,7 @@ from salsanext_cli.core.errors import UsageError, WeightsError
 from salsanext_cli.core.network.card import WeightsCard
 from salsanext_cli.core.network.int8_inputs import Int8Input
 from salsanext_cli.core.network.salsanext import SalsaNext
+from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.training.tuning.int8 import int8_inputs, int8_layers
@@ -93,12 +97,15 @@ def in_bytes(module: SalsaNext, inputs: dict[str, Int8Input], *, tiles: bool) ->
     return module
 
 
-def compiled(
-    module, inputs: dict[str, Int8Input], x: torch.Tensor, *, tiles: bool = False, **options
-) -> Graph:
+@cache
+def graph():
+    """Return the graph of the network; to convert it takes half a second."""
+    return converted(network(), lambda m, values: m(values), [image()])
+
+
+def compiled(model, inputs: dict[str, Int8Input], *, tiles: bool = False, **options) -> Graph:
     def make():
-        model = converted(module, lambda m, values: m(values), [x])
-        return quantised(model, inputs, "test", tiles=tiles)
+        return quantised(model.clone(), inputs, "test", tiles=tiles)
 
     return Graph(compiled_graph(make, ("test", inputs, tiles), "int8", **options))
 
@@ -117,7 +124,7 @@ WITH_AMX = pytest.mark.skipif(not multiplies_tiles_of_bytes(), reason="a CPU wit
 def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights(tiles):
     module, x = network(), image()
     inputs = int8_inputs(module, [image(seed).numpy() for seed in range(3)])
-    (logits,) = compiled(module, inputs, x, tiles=tiles)(x.numpy())
+    (logits,) = compiled(graph(), inputs, tiles=tiles)(x.numpy())
     with torch.inference_mode():
         expected = in_bytes(module, inputs, tiles=tiles)(x.double()).numpy()
         exact = module(x).numpy()
@@ -132,10 +139,10 @@ def test_a_graph_computes_as_a_module_with_rounded_inputs_and_weights(tiles):
 def test_hidden_layers_multiply_bytes_and_the_others_are_floats():
     """Those of the image and of the logits are float32, the context is in the fastest float."""
     module, x = network(), image()
-    graph = compiled(module, int8_inputs(module, [x.numpy()]), x)
+    run = compiled(graph(), int8_inputs(module, [x.numpy()]))
     fastest = graphs.HINTS[float_of_precision("int8")]
     numbers = Counter()
-    for op in graph.compiled.get_runtime_model().get_ordered_ops():
+    for op in run.compiled.get_runtime_model().get_ordered_ops():
         info = op.get_rt_info()
         if info["layerType"].astype(str) == "Convolution":
             kind, name = info["runtimePrecision"].astype(str), op.get_friendly_name()
@@ -154,30 +161,43 @@ def test_sums_of_products_do_not_saturate():
     module[0].weight.data.fill_(1.0)
     x = torch.full((1, 64, 8, 8), 255.0)
     inputs = {"0": Int8Input(0, 1.0, "0" * 64)}
-    (sums,) = compiled(module, inputs, x)(x.numpy())
+    model = converted(module, lambda m, values: m(values), [x])
+    (sums,) = compiled(model, inputs)(x.numpy())
     np.testing.assert_allclose(sums, 255 * 64 * 9, rtol=1e-6)
 
 
 def test_the_bits_do_not_depend_on_threads_or_streams():
-    module, x = network(), image()
-    inputs = int8_inputs(module, [x.numpy()])
-    (expected,) = compiled(module, inputs, x)(x.numpy())
+    x = image()
+    inputs = int8_inputs(network(), [x.numpy()])
+    (expected,) = compiled(graph(), inputs)(x.numpy())
     for threads, streams in ((2, 1), (2, 2), (3, 3)):
-        run = compiled(module, inputs, x, threads=threads, streams=streams)
+        run = compiled(graph(), inputs, threads=threads, streams=streams)
         assert np.array_equal(run(x.numpy())[0], expected)
         outputs = run.in_parallel([[image(5).numpy()], [x.numpy()]] * 2)
         assert [np.array_equal(o[0], expected) for o in outputs] == [False, True] * 2
 
 
-def backend(precision: str) -> OpenVinoBackend:
-    module = network()
+class OneHiddenLayer(TinyNetwork):
+    """Network with one convolution between those of the image and of the logits."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hidden = nn.Conv2d(8, 8, 3, padding=1)
+
+    def trunk(self, image):
+        return (self.norm(self.hidden(self.features(image).relu())).relu(),)
+
+
+def backend(module: SegmentationNetwork, precision: str) -> OpenVinoBackend:
     card = WeightsCard({}, label_space(), SMALL, int8=int8_inputs(module, [image().numpy()]))
     size = (SMALL.height, SMALL.width)
     return OpenVinoBackend(lambda: module, card, size, precision=precision, sha256="0")
 
 
-def test_a_prediction_is_the_same_alone_and_in_a_batch_and_samples_are_float32():
-    int8, float32 = backend("int8"), backend("float32")
+@pytest.mark.parametrize("make", [OneHiddenLayer, pytest.param(network, marks=pytest.mark.slow)])
+def test_a_prediction_is_the_same_alone_and_in_a_batch_and_samples_are_float32(make):
+    module = make().eval()
+    int8, float32 = backend(module, "int8"), backend(module, "float32")
     images = [image(seed).repeat(1, 1, 1, 2)[:, :, :16].numpy() for seed in (1, 2)]
     together = int8.predict(images, 1.0)
     for x, pixels in zip(images, together, strict=True):
@@ -190,8 +210,8 @@ def test_a_prediction_is_the_same_alone_and_in_a_batch_and_samples_are_float32()
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    """Weights of the architecture that is called salsanext, with ranges."""
+def weights(shallow, tmp_path_factory):
+    """Return weights of the architecture that is called salsanext, with ranges."""
     file = write_weights(tmp_path_factory.mktemp("int8") / "random.safetensors")
     network = load_network(file, "cpu", SMALL, engine="torch")
     inputs = network.input(project(make_scan(), SMALL).channels)
@@ -213,12 +233,11 @@ def test_a_card_holds_the_ranges_and_int8_needs_them_and_openvino(weights, tmp_p
 
 
 def test_ranges_of_another_network_are_refused():
-    module, x = network(), image()
-    layers = int8_inputs(module, [x.numpy()])
+    layers = int8_inputs(network(), [image().numpy()])
     name = "block1.shortcut.0"
     broken = replace(layers[name], shifts=layers[name].shifts[1:])
     for others in ({**layers, "block9.shortcut.0": layers[name]}, {**layers, name: broken}):
-        refused(WeightsError, "test", compiled, module, others, x)
+        refused(WeightsError, "test", compiled, graph(), others)
 
 
 @pytest.mark.parametrize(
