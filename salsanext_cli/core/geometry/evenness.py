@@ -7,18 +7,22 @@ evenly over the directions from the sensor, and crowded, or one behind the other
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from salsanext_cli.core.compiled import argument, compiled
 from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
+from salsanext_cli.core.geometry.projection import arctan2
 from salsanext_cli.core.geometry.sectors import SECTORS, sector_of_points
 from salsanext_cli.core.records import MAX_RANGE_M, Double, Indices, Scan
 
 FEW_POINTS = 4096  # Points that show whether a scan is seen from a position
 MIN_POINTS = 1000  # Fewest points that show a position
-ROWS = 182  # Cells of one degree from straight down to straight up, with an offset
+COLUMNS = 362  # Cells of one degree around, with an offset
+ROWS = 182  # The same from straight down to straight up
 VEHICLE_M = 3.0  # Nearer points may be the vehicle
 EMPTY = 0.25  # Share of the mean points below which a sector is empty
 ROUND = 0.6  # Least share of sectors with points of a sensor that turns; the others see a fan
@@ -140,18 +144,58 @@ def evenness(points: Double, position: Double, offsets: Sequence[float] = (0.0,)
     float
         Evenness, 0…1.
     """
-    around, upwards, ranges = _directions(points - position)
-    far = ranges > VEHICLE_M
-    around = around[far]
-    upwards = upwards[far]
-    shares = []
-    for offset in offsets:
-        cells = _cells(around + offset, upwards + offset)
-        counts = np.bincount(cells).astype(np.float64)
-        points_beside = max(float(counts @ counts), 1.0) / max(len(around), 1)
-        share_of_far = len(around) / max(len(points), 1)
-        shares.append(share_of_far / points_beside)
-    return float(np.mean(shares))
+    pairs = np.empty(len(offsets), np.intp)
+    coordinates = argument(points, np.float64).reshape(-1)
+    seen_from = argument(position, np.float64)
+    far_count = count_pairs(coordinates, seen_from, np.array(offsets, np.float64), pairs)
+    points_beside = np.maximum(pairs, 1) / max(far_count, 1)
+    share_of_far = far_count / max(len(points), 1)
+    return float(np.mean(share_of_far / points_beside))
+
+
+@compiled
+def count_pairs(points: Double, position: Double, offsets: Double, pairs: Indices) -> int:
+    """Count the pairs of farther points in the same cell, also those of a point with itself.
+
+    Parameters
+    ----------
+    points : (3 N,) float64
+        Coordinates, point by point, in metres.
+    position : (3,) float64
+        Position from which the directions are, in metres.
+    offsets : (K,) float64
+        Offsets of the cells, 0…1.
+    pairs : (K,) intp
+        Result: ordered pairs for each offset.
+
+    Returns
+    -------
+    int
+        Number of farther points.
+    """
+    count = len(points) // 3
+    around = np.empty(count)
+    upwards = np.empty(count)
+    is_far = np.empty(count, np.bool_)
+    # Without branches the loop is vectorised.
+    for i in range(count):
+        x = points[3 * i] - position[0]
+        y = points[3 * i + 1] - position[1]
+        z = points[3 * i + 2] - position[2]
+        flat = math.sqrt(x * x + y * y)
+        around[i] = arctan2(y, x) * (180 / math.pi) + 180
+        upwards[i] = arctan2(z, flat) * (180 / math.pi) + 90
+        is_far[i] = math.sqrt(x * x + y * y + z * z) > VEHICLE_M
+    points_of_cell = np.empty(COLUMNS * ROWS, np.int32)
+    for k in range(len(offsets)):
+        points_of_cell[:] = 0
+        pairs[k] = 0
+        for i in range(count):
+            cell = int(around[i] + offsets[k]) * ROWS + int(upwards[i] + offsets[k])
+            # A further point of n others is in 2 n + 1 new pairs.
+            pairs[k] += (2 * points_of_cell[cell] + 1) * is_far[i]
+            points_of_cell[cell] += is_far[i]
+    return int(is_far.sum())
 
 
 def _directions(points: Double) -> tuple[Double, Double, Double]:
