@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Origin of the beams of a sensor: the point from which their elevations form a comb."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from salsanext_cli.core.compiled import argument, compiled
+from salsanext_cli.core.geometry.projection import arctan2
 from salsanext_cli.core.records import Double, Float
 
 BIN_DEG = 0.02
+BINS = round(180 / BIN_DEG) + 1
 FINE_BINS = 3  # Width of a histogram average within a tooth of the comb
 COARSE_BINS = 51  # The same over several teeth
 DISTANCES_M = (2.0, 60.0)  # Distances of points that show the origin of the beams
@@ -160,16 +164,39 @@ def sharpness(points: Double, position: Double) -> float:
     float
         About 1 without a comb.
     """
-    x, y, z = (points - position).T
-    elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
-    bins = ((elevations + 90) / BIN_DEG).astype(np.intp)
-    histogram = np.bincount(bins, minlength=round(180 / BIN_DEG) + 1).astype(np.float64)
-    fine = _averaged(histogram, FINE_BINS)
-    coarse = _averaged(histogram, COARSE_BINS)
-    return float(fine @ fine) / max(float(fine @ coarse), 1.0)
+    coordinates = argument(points, np.float64).reshape(-1)
+    return float(sharpness_of_comb(coordinates, argument(position, np.float64)))
 
 
-def _averaged(histogram: Double, width: int) -> Double:
-    """Return a histogram (B,), averaged over an odd number of bins."""
-    sums: Double = np.cumsum(np.pad(histogram, (width // 2 + 1, width // 2)))
-    return (sums[width:] - sums[:-width]) / width
+@compiled
+def sharpness_of_comb(points: Double, position: Double) -> float:
+    """Return the sharpness of points (3 N,) from a position (3,), point by point in metres."""
+    count = len(points) // 3
+    bins = np.empty(count, np.int32)
+    # Without branches the loop is vectorised.
+    for i in range(count):
+        x = points[3 * i] - position[0]
+        y = points[3 * i + 1] - position[1]
+        z = points[3 * i + 2] - position[2]
+        elevation = arctan2(z, math.sqrt(x * x + y * y)) * (180 / math.pi)
+        bins[i] = np.int32((elevation + 90) / BIN_DEG)
+    # Empty bins at both ends, so that each bin has as many on either side
+    margin = COARSE_BINS // 2 + 1
+    histogram = np.zeros(BINS + 2 * margin, np.int64)
+    for i in range(count):
+        histogram[bins[i] + margin] += 1
+    fine = 0
+    coarse = 0
+    fine_squares = 0
+    products = 0
+    for i in range(len(histogram) - margin):
+        fine += histogram[i + FINE_BINS // 2]
+        coarse += histogram[i + COARSE_BINS // 2]
+        if i >= margin:
+            fine -= histogram[i - FINE_BINS // 2 - 1]
+            coarse -= histogram[i - COARSE_BINS // 2 - 1]
+            fine_squares += fine * fine
+            products += fine * coarse
+    averaged_squares = fine_squares / FINE_BINS**2
+    averaged_products = products / (FINE_BINS * COARSE_BINS)
+    return averaged_squares / max(averaged_products, 1.0)

@@ -144,34 +144,16 @@ def evenness(points: Double, position: Double, offsets: Sequence[float] = (0.0,)
     float
         Evenness, 0…1.
     """
-    pairs = np.empty(len(offsets), np.intp)
     coordinates = argument(points, np.float64).reshape(-1)
     seen_from = argument(position, np.float64)
-    far_count = count_pairs(coordinates, seen_from, np.array(offsets, np.float64), pairs)
-    points_beside = np.maximum(pairs, 1) / max(far_count, 1)
-    share_of_far = far_count / max(len(points), 1)
-    return float(np.mean(share_of_far / points_beside))
+    return float(mean_evenness(coordinates, seen_from, np.array(offsets, np.float64)))
 
 
 @compiled
-def count_pairs(points: Double, position: Double, offsets: Double, pairs: Indices) -> int:
-    """Count the pairs of farther points in the same cell, also those of a point with itself.
+def mean_evenness(points: Double, position: Double, offsets: Double) -> float:
+    """Return the evenness of points (3 N,) from a position (3,), the mean over K offsets of cells.
 
-    Parameters
-    ----------
-    points : (3 N,) float64
-        Coordinates, point by point, in metres.
-    position : (3,) float64
-        Position from which the directions are, in metres.
-    offsets : (K,) float64
-        Offsets of the cells, 0…1.
-    pairs : (K,) intp
-        Result: ordered pairs for each offset.
-
-    Returns
-    -------
-    int
-        Number of farther points.
+    Coordinates are in metres, point by point.
     """
     count = len(points) // 3
     around = np.empty(count)
@@ -186,16 +168,20 @@ def count_pairs(points: Double, position: Double, offsets: Double, pairs: Indice
         around[i] = arctan2(y, x) * (180 / math.pi) + 180
         upwards[i] = arctan2(z, flat) * (180 / math.pi) + 90
         is_far[i] = math.sqrt(x * x + y * y + z * z) > VEHICLE_M
-    points_of_cell = np.empty(COLUMNS * ROWS, np.int32)
-    for k in range(len(offsets)):
-        points_of_cell[:] = 0
-        pairs[k] = 0
+    far_count = is_far.sum()
+    counts = np.empty(COLUMNS * ROWS, np.int32)
+    total = 0.0
+    for offset in offsets:
+        counts[:] = 0
+        squares = 0  # Sum over the cells
         for i in range(count):
-            cell = int(around[i] + offsets[k]) * ROWS + int(upwards[i] + offsets[k])
-            # A further point of n others is in 2 n + 1 new pairs.
-            pairs[k] += (2 * points_of_cell[cell] + 1) * is_far[i]
-            points_of_cell[cell] += is_far[i]
-    return int(is_far.sum())
+            cell = int(around[i] + offset) * ROWS + int(upwards[i] + offset)
+            # (n + 1)² is n² + 2 n + 1.
+            squares += (2 * counts[cell] + 1) * is_far[i]
+            counts[cell] += is_far[i]
+        points_beside = max(squares, 1) / max(far_count, 1)
+        total += far_count / max(count, 1) / points_beside
+    return total / len(offsets)
 
 
 def _directions(points: Double) -> tuple[Double, Double, Double]:
