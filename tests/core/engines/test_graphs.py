@@ -61,10 +61,7 @@ SIZE = (1, 5, 32, 96)
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-WIDTHS_BY_LEVELS = {
-    2: {"context_width": 32, "widths": (64, 256), "decoder_widths": (128,)},
-    5: {},
-}
+WIDTHS_BY_LEVELS = {2: {"context_width": 32, "widths": (64, 256), "decoder_widths": (128,)}, 5: {}}
 """Channels of networks: with two levels, as many as those of all five have at both ends."""
 
 

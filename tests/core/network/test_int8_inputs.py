@@ -210,7 +210,7 @@ def test_a_prediction_is_the_same_alone_and_in_a_batch_and_samples_are_float32(m
 
 
 @pytest.fixture(scope="module")
-def weights(shallow, tmp_path_factory):
+def weights(tmp_path_factory):
     """Return weights of the architecture that is called salsanext, with ranges."""
     file = write_weights(tmp_path_factory.mktemp("int8") / "random.safetensors")
     network = load_network(file, "cpu", SMALL, engine="torch")
