@@ -22,7 +22,10 @@ EXPECTED = "three finite numbers by scan"
 HINT = (
     'for scans in map coordinates, give three metres by name, as {"000000": [460000, 5430000, 0]}'
 )
-HINT_OF_DAMAGE = f"{HINT}; if another program wrote the file, move it away"
+HINT_OF_DAMAGE = (
+    "if `pick`, `convert` or `filter` wrote the file, delete it and run that command again; if "
+    f"another program wrote it, move it away; {HINT}"
+)
 
 log = logging.getLogger(__name__)
 

@@ -3,7 +3,7 @@
 
 import logging
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from salsanext_cli.core.texts import counted
 from salsanext_cli.io.annotation_tools.registry import tool_named
 from salsanext_cli.io.annotation_tools.tool import AnnotationTool
 from salsanext_cli.report.picked import picked_csv, picked_scans, scans_of_list
-from salsanext_cli.runs.annotation.map_frames import add_frames, refuse_lost_frames
+from salsanext_cli.runs.annotation.map_frames import frames_beside
 from salsanext_cli.runs.annotation.picked_data_set import (
     NAMED,
     STAGE,
@@ -133,6 +133,7 @@ def pick(
             log_recorded(record.warnings)
             _add_files_of_tool(prepared, labelling_tool, record)
             return _picking(record, scans)
+        frames = _frames(prepared, record)
         resolved = settings.resolved(network)
         origins = by_poses.scan_origins(scans, network.sensor)
         if record is None:
@@ -145,15 +146,10 @@ def pick(
             # Another run goes on with this choice.
             _require_places(prepared, labelling_tool, record)
         write = partial(
-            PickJob,
-            seed=seed,
-            samples=SAMPLES,
-            data_set=data_set,
-            origins=origins,
-            frames=prepared.frames,
+            PickJob, seed=seed, samples=SAMPLES, data_set=data_set, origins=origins, frames=frames
         )
         task = sampling_task(write, resolved, network)
-        outcome = _written(task, prepared, record, options)
+        outcome = _written(task, prepared, record, frames, options)
         _add_files_of_tool(prepared, labelling_tool, record)
     return replace(_picking(record, scans), outcome=outcome)
 
@@ -201,6 +197,8 @@ def plan_pick(
         names=names,
     )
     record = _earlier(prepared, labelling_tool, options)
+    if record is None or not prepared.data_set.is_complete(record):
+        _frames(prepared, record)  # Refuses damaged ones
     return PickPlan.from_prepared(prepared, record)
 
 
@@ -211,9 +209,14 @@ def _earlier(
     data_set = prepared.data_set
     record = data_set.earlier(prepared.settings, overwrite=options.overwrite)
     if record is None:
-        refuse_lost_frames(data_set, prepared.scans)
+        data_set.refuse_lost_frames(prepared.scans)
     _require_places(prepared, tool, record)
     return record
+
+
+def _frames(prepared: PreparedPick, record: PickRecord | None) -> dict[ScanFile, Origin]:
+    """Read the frames beside the picked scans of a record, beside all scans without one."""
+    return frames_beside(prepared.scans if record is None else prepared.files(record))
 
 
 def _require_places(
@@ -295,9 +298,16 @@ def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> Uncertain
 
 
 def _written(
-    task: NetworkTask, prepared: PreparedPick, record: PickRecord, options: RunOptions
+    task: NetworkTask,
+    prepared: PreparedPick,
+    record: PickRecord,
+    beside: Mapping[ScanFile, Origin],
+    options: RunOptions,
 ) -> Outcome:
-    """Write the missing files of a data set of picked scans."""
+    """Write the missing files of a data set of picked scans.
+
+    `beside`: frames in files beside the scans, metres.
+    """
     data_set = prepared.data_set
     picked = prepared.files(record)
     pre_labels: dict[ScanFile, bytes] = {}
@@ -309,7 +319,7 @@ def _written(
 
     outcome = run_over_scans(task, picked, options, on_result=add)
     # The data set is complete with its other files, so these come first.
-    add_frames(data_set, frames)
+    record = data_set.write_frames(record, frames, beside)
     if len(pre_labels) == len(record.picked):
         # Existing files are not replaced, so incomplete poses would remain.
         data_set.write_poses(frames)

@@ -109,10 +109,11 @@ def require_writable(folder: Path) -> None:
 
 
 def foresee_writable(folder: Path) -> None:
-    """Raise `OutputError` if a file or permissions are in the way of a folder; write nothing."""
-    places = (folder, *folder.parents)
-    # A link to nothing is in the way too.
-    place = next(path for path in places if present(path) or path.is_symlink())
+    """Raise `OutputError` if a file, permissions or its name prevent a folder; write nothing."""
+    try:
+        place = next(filter(_is_taken, (folder, *folder.parents)))
+    except OSError as error:
+        raise refusal(folder, error) from error
     if not is_folder(place):
         number = errno.ENOTDIR
     elif not os.access(place, os.W_OK | os.X_OK):
@@ -120,6 +121,15 @@ def foresee_writable(folder: Path) -> None:
     else:
         return
     raise refusal(folder, OSError(number, os.strerror(number)))
+
+
+def _is_taken(path: Path) -> bool:
+    """Return whether anything has a name, also a link to nothing."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
 
 
 def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:

@@ -3,7 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -24,7 +24,7 @@ from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.annotation.label_records import IMPORTED
-from salsanext_cli.runs.annotation.map_frames import frame_of
+from salsanext_cli.runs.annotation.map_frames import add_frames, frame_of, refuse_lost_frames
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
 from salsanext_cli.runs.results.output_paths import output_path
@@ -111,6 +111,9 @@ class PickRecord:
     warnings: list[ScanWarning]
     pre_labels: dict[str, str] = field(default_factory=dict)  # SHA-256 by name of the scan
     scale: UncertaintyScale | None = None  # None in records of earlier versions
+    # Sequences with frames, and whether a file beside their scans states one of them; None in
+    # records of earlier versions, and before the first file is complete
+    in_map: dict[str, bool] | None = None
     stage: str = STAGE
     version: str = __version__
 
@@ -148,8 +151,37 @@ class PickedDataSet(OwnedFolder):
         self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
         return frame_of(file, scan, beside)
 
+    def write_frames(
+        self,
+        record: PickRecord,
+        frames: Mapping[ScanFile, Origin],
+        beside: Mapping[ScanFile, Origin],
+    ) -> PickRecord:
+        """Write the frames of picked scans; return the record that states which ones are due.
+
+        Parameters
+        ----------
+        record : PickRecord
+            Record of the run.
+        frames : mapping of ScanFile to tuple of float
+            Frames of the points of picked scans, metres.
+        beside : mapping of ScanFile to tuple of float
+            Frames by `frames_beside`, metres.
+
+        Returns
+        -------
+        PickRecord
+        """
+        add_frames(self, frames)
+        in_map = dict(record.in_map or {})
+        for scan, frame in frames.items():
+            if frame != NO_SHIFT:
+                is_beside = beside.get(scan) == frame
+                in_map[scan.sequence] = is_beside or in_map.get(scan.sequence, False)
+        return replace(record, in_map=dict(sorted(in_map.items())))
+
     def write_pre_labels(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
-        """Record pre-labels of scans, and write those that are missing."""
+        """Write the record with the pre-labels of scans, and those that are missing."""
         paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
         missing = {file: content for file, content in labels.items() if not filled(paths[file])}
         digests = {file.name: hashlib.sha256(missing[file]).hexdigest() for file in missing}
@@ -207,7 +239,25 @@ class PickedDataSet(OwnedFolder):
 
     def is_complete(self, record: PickRecord) -> bool:
         """Return whether all files exist; poses and calibration may be unknown."""
-        return all(map(filled, self._certain_files(record)))
+        return all(map(filled, [*self._certain_files(record), *self._files_of_frames(record)]))
+
+    def refuse_lost_frames(self, scans: Iterable[ScanFile]) -> None:
+        """Refuse scans whose earlier copies have frames of a file that is ignored now.
+
+        Parameters
+        ----------
+        scans : iterable of ScanFile
+            Scans that may take the place of the earlier ones.
+
+        Raises
+        ------
+        FormatError
+            If another program wrote a file with the name of frames.
+        """
+        record = self._record()
+        in_map = (record.in_map if record else None) or {}
+        # Scans that state their frames themselves need no file.
+        refuse_lost_frames(self, [scan for scan in scans if in_map.get(scan.sequence, True)])
 
     def require_apart(self, scans: Iterable[ScanFile]) -> None:
         """Raise `UsageError` if the folder holds the scans to choose from."""
@@ -253,6 +303,18 @@ class PickedDataSet(OwnedFolder):
     def _certain_files(self, record: PickRecord) -> list[Path]:
         files = [self.root / name for name in (LABEL_SPACE, TABLE)]
         return files + [p for s in record.picked for p in self.paths(s.sequence, s.scan)]
+
+    def _files_of_frames(self, record: PickRecord) -> list[Path]:
+        """Return the files of frames that a complete data set has."""
+        sequences = {scan.sequence for scan in record.picked}
+        paths = {name: self.root / "sequences" / name / FRAMES for name in sorted(sequences)}
+        in_map: Collection[str]
+        if record.in_map is not None:
+            in_map = record.in_map
+        else:
+            written = self.states()
+            in_map = [name for name, path in paths.items() if path in written]
+        return [path for name, path in paths.items() if name in in_map or present(path)]
 
     def _files(self, record: PickRecord) -> list[Path]:
         folders = sorted({self.root / "sequences" / scan.sequence for scan in record.picked})

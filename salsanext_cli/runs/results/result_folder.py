@@ -126,7 +126,7 @@ class ResultFolder:
         """Return the error of a folder without results."""
         if any(is_folder(folder) for folder in self.root.glob(f"sequences/*/{SCAN_FOLDER}")):
             return self._is_data_set()
-        problem = "contains no results" if self.root.is_dir() else "no such folder"
+        problem = "contains no results" if is_folder(self.root) else "no such folder"
         expected = "the output folder of an earlier stage"
         return NoInputError(self.root, problem, expected, making_hint("label", self.root))
 
@@ -346,8 +346,8 @@ def is_result_folder(folder: Path) -> bool:
 
 def _is_sequence(dataset: Path) -> bool:
     """Return whether it is a folder of scans or a recording, not a data set."""
-    is_data_set = (dataset / "sequences").is_dir()
-    return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
+    is_data_set = is_folder(dataset / "sequences")
+    return bool(recording_of(dataset.absolute())) or (is_folder(dataset) and not is_data_set)
 
 
 def _one_of_each_name(

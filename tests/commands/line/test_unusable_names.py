@@ -17,10 +17,10 @@ COMMANDS = [
     (("train", "{data}", "{out}", "--recipe", LONG), 2),
     (("knn-refine", LONG), 1),
     (("eval", LONG), 1),
-    (("eval", "{out}", "--label-space", LONG), 2),
+    (("eval", "{done}", "--label-space", LONG), 2),
     (("export-ply", LONG), 1),
     (("picture", LONG), 1),
-    (("picture", "{out}", "--dataset", LONG), 1),
+    (("picture", "{done}", "--dataset", LONG), 1),
     (("picture", LONG, "--dataset", "{data}"), 1),
     (("submit", LONG, "made.zip"), 1),
     (("submit", "{done}", "made.zip", "--description", LONG), 1),
@@ -29,18 +29,19 @@ COMMANDS = [
     (("pick", "{data}", LONG), 1),
     (("import-labels", LONG, "{data}"), 1),
     (("import-labels", "{done}", LONG), 1),
-    (("import-labels", "{data}", "{data}", "--map", LONG), 1),
+    (("import-labels", "{done}", "{data}", "--map", LONG), 2),
     (("inspect", LONG), 1),
 ]
 
 
-def test_such_a_name_is_one_error(run, data, tmp_path):
+def test_such_a_name_is_one_error(run, data, weights, take_by_default, tmp_path):
+    take_by_default(weights)
     done = tmp_path / "done"
-    labels = done / "sequences/11/predictions"
+    labels = done / "sequences/08/predictions"
     labels.mkdir(parents=True)
     (labels / "000000.label").write_bytes(bytes(4))
     places = {"data": data, "out": tmp_path / "out", "done": done}
     for command, status in COMMANDS:
         result = run(*(word.format(**places) for word in command))
         assert isinstance(result.exception, SystemExit), command
-        assert (result.exit_code, bool(subject(result))) == (status, True), command
+        assert (result.exit_code, LONG in subject(result)) == (status, True), command

@@ -31,7 +31,7 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
-from salsanext_cli.io.frames import FRAMES, read_frames
+from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.annotation.scan_description import DescribeJob
@@ -296,10 +296,82 @@ def test_frames_are_written_although_a_scan_fails(drive, monkeypatch):
     assert [*read_frames(frames)] == sorted(stems[:3])
 
 
+FRAME = (690_000.0, 5_330_000.0, 0.0)
+
+
+def run_in_map(world, **how):
+    """Pick the only scan of a drive, in map coordinates."""
+    return run(world, world.scan("08", "000010"), count=1, **how)
+
+
+@pytest.fixture
+def in_map(drive):
+    """Return the world with a pick of one scan, whose frame is beside it."""
+    (drive.data / "sequences/08" / FRAMES).write_bytes(encode_frames({"000010": FRAME}))
+    run_in_map(drive)
+    return drive
+
+
+@pytest.mark.parametrize("has_new_record", [True, False])
+def test_frames_that_are_lost_are_written_again(in_map, has_new_record):
+    """Without them, the next stages would take points in map coordinates for local ones."""
+    written = in_map.out / "sequences/08" / FRAMES
+    expected = written.read_bytes()
+    assert read_frames(written) == {"000010": FRAME}
+    record = in_map.out / "pick.json"
+    for lose in (lambda: written.write_bytes(b""), written.unlink):  # As a power cut, and a user
+        if not has_new_record:
+            content = json.loads(record.read_text())
+            record.write_text(json.dumps(content | {"in_map": None}))
+        lose()
+        assert run_in_map(in_map).outcome.done == 1
+        assert written.read_bytes() == expected
+        assert json.loads(record.read_text())["in_map"] == {"08": True}
+    assert run_in_map(in_map).outcome.skipped == 1
+
+
+def test_a_complete_pick_reads_no_frames_beside_the_scans(in_map):
+    beside = in_map.data / "sequences/08" / FRAMES
+    beside.write_text('{"000010": [NaN, 0, 0]}')
+    assert run_in_map(in_map).outcome.skipped == 1
+    planned = (plan_pick, in_map.scan("08", "000010"), in_map.out)
+    how = {"settings": in_map.network, "count": 1}
+    assert plan_pick(*planned[1:], **how).picked == 1
+    (in_map.out / "picked.csv").unlink()
+    refused(FormatError, beside, run_in_map, in_map)
+    refused(FormatError, beside, *planned, **how)
+
+
+def test_frames_in_the_scans_themselves_need_no_file_beside_them(drive, monkeypatch):
+    """As those of LAS files, beside which another program may have a file of this name."""
+    write = PickedDataSet.write_points
+
+    def write_in_map(self, file, sensor, beside):
+        write(self, file, sensor, beside)
+        return FRAME
+
+    monkeypatch.setattr(PickedDataSet, "write_points", write_in_map)
+    (drive.data / "sequences/08" / FRAMES).write_text("[]")
+    for overwrite in (False, True):
+        assert run_in_map(drive, overwrite=overwrite).outcome.done == 1
+    assert read_frames(drive.out / "sequences/08" / FRAMES) == {"000010": FRAME}
+
+
+@pytest.mark.parametrize("out", ["a" * 300, "file/out"])
+def test_a_folder_that_cannot_be_written_is_refused_before_the_network_is_read(
+    drive, tmp_path, out
+):
+    (tmp_path / "file").touch()
+    unread = {"settings": replace(drive.network, weights=tmp_path / "none.safetensors")}
+    path = tmp_path / out
+    refused(OutputError, path, run, drive, out=path, **unread)
+    refused(OutputError, path, plan_pick, drive.data, path, **unread)
+
+
 @pytest.mark.parametrize("content", ['{"000000": [690000, 5330000, NaN]}', "[]"])
 def test_frames_that_are_damaged_or_gone_to_another_program_lose_no_picked_scans(picked, content):
     scans = find_scans(picked.data)
-    add_frames(PickedDataSet(picked.out), {scans[0]: (690_000.0, 5_330_000.0, 0.0)})
+    add_frames(PickedDataSet(picked.out), {scans[0]: FRAME})
     path = picked.data / "sequences/08" / FRAMES
     path.write_text(content)
     before = files_below(picked.out)

@@ -2,7 +2,7 @@
 """What `pick` decides before the first scan: scans to choose from, network, settings."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,10 +10,9 @@ from salsanext_cli.core.classes.label_space import LabelSpace
 from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import NoInputError, UsageError
 from salsanext_cli.core.measures.scan_choice import require_choice
-from salsanext_cli.core.records import Origin
 from salsanext_cli.core.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.core.wording import argument
-from salsanext_cli.runs.annotation.map_frames import frames_beside
+from salsanext_cli.io.files.atomic import foresee_writable
 from salsanext_cli.runs.annotation.picked_data_set import (
     CHOSEN,
     NAMED,
@@ -46,7 +45,6 @@ class PreparedPick:
     space: LabelSpace  # Classes of the scans
     network: Network  # Fitted to the scans
     origins: OriginsOfSource  # Origins of registered scans
-    frames: Mapping[ScanFile, Origin]  # Of scans that were moved out of a map, metres
     settings: PickSettings  # Settings to record
 
     @property
@@ -73,6 +71,7 @@ def prepare_pick(
 ) -> PreparedPick:
     """Load and fit the network, and find the scans; arguments as of `pick`."""
     require_choice(count, seed)
+    foresee_writable(out)
     network = settings.for_sampling().load()
     require_sampling(network, SAMPLES)
     listed = scans_of(source)
@@ -82,7 +81,6 @@ def prepare_pick(
     selected = choose(listed, replace(selection, limit=None), space, source)
     scans = _candidates(selected, selection, labelled, names)
     done = _done(scans, labelled, source)
-    frames = frames_beside(scans)
     origins = OriginsOfSource(listed=listed)
     sample = sample_of_files(listed, network.sensor, origins_of=origins.sample_origins)
     network = fit_scans(settings, network, sample)
@@ -103,7 +101,6 @@ def prepare_pick(
         space=space,
         network=network,
         origins=origins,
-        frames=frames,
         settings=recorded,
     )
 
