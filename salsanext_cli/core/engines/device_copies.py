@@ -4,7 +4,8 @@
 On the CPU they are the tensors themselves, and nothing waits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +14,15 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.memory import out_of_memory
+
 
 def pinned(tensor: Tensor, device: str | torch.device) -> Tensor:
     """Return a tensor of the host in memory that a device reads directly; unchanged for a CPU."""
-    return tensor if torch.device(device).type == "cpu" else tensor.pin_memory()
+    if torch.device(device).type == "cpu":
+        return tensor
+    with _memory_of_host():
+        return tensor.pin_memory()
 
 
 def pinned_array(values: npt.NDArray[Any], device: str | torch.device) -> Tensor:
@@ -28,7 +34,7 @@ def pinned_array(values: npt.NDArray[Any], device: str | torch.device) -> Tensor
     source = torch.from_numpy(values)
     if torch.device(device).type != "cuda":
         return source
-    host = torch.empty(source.shape, dtype=source.dtype, pin_memory=True)
+    host = _page_locked(source)
     np.copyto(host.numpy(), values)
     return host
 
@@ -79,7 +85,7 @@ class HostCopies:
         device = tensors[0].device
         if device.type == "cpu":
             return cls(tensors=[tensor.contiguous() for tensor in tensors], arrival=None)
-        hosts = [torch.empty(t.shape, dtype=t.dtype, pin_memory=True) for t in tensors]
+        hosts = [_page_locked(tensor) for tensor in tensors]
         for host, tensor in zip(hosts, tensors, strict=True):
             host.copy_(tensor, non_blocking=True)
         # Who waits for a blocking event sleeps, and leaves the core to others.
@@ -92,3 +98,20 @@ class HostCopies:
         if self.arrival is not None:
             self.arrival.synchronize()
         return [tensor.numpy() for tensor in self.tensors]
+
+
+def _page_locked(tensor: Tensor) -> Tensor:
+    """Return page-locked memory of the host for a contiguous copy of a tensor."""
+    with _memory_of_host():
+        return torch.empty(tensor.shape, dtype=tensor.dtype, pin_memory=True)
+
+
+@contextmanager
+def _memory_of_host() -> Iterator[None]:
+    """Raise `MemoryError` for page-locked memory; CUDA names it as it names that of a GPU."""
+    try:
+        yield
+    except RuntimeError as error:
+        if not out_of_memory(error):
+            raise
+        raise MemoryError("not enough page-locked memory of the host") from None

@@ -28,8 +28,8 @@ def out_of_memory(error: BaseException | None) -> bool:
 def out_of_gpu_memory(error: BaseException | None) -> bool:
     """Return whether the memory that ran out by an unexplained error is that of a GPU.
 
-    An error that was raised from another one says less than that. An error that was raised while
-    another one was handled is of its own memory.
+    The cause of an error decides. An error without a cause decides for itself, also if it was
+    raised while another error was handled.
     """
     for cause in _unexplained(error):
         if _means_gpu_memory(cause):

@@ -129,7 +129,7 @@ class Pipeline(Generic[Prepared, Computed, Result]):
             def compute() -> Computed:
                 return self.job.compute([alone.get()])[0]
 
-            return [self._attempt(alone.file, compute, device=self.device)]
+            return [self._attempt(alone.file, compute)]
         try:
             computed = self.job.compute([scan.get() for scan in scans])
         except SalsanextError:
@@ -145,16 +145,19 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         return self._attempt(scan.file, self.job.finish, scan.get(), computed.get())
 
     def _attempt(
-        self, file: ScanFile, function: Callable[..., Value], *arguments: Any, device: str = "cpu"
+        self, file: ScanFile, function: Callable[..., Value], *arguments: Any
     ) -> Attempt[Value]:
-        """Call a function of a scan; a lack of memory on the device is an error of the scan."""
+        """Call a function of a scan; a lack of memory is an error of the scan.
+
+        Each step may need memory of the host and of the device: a scan is copied for the device in
+        `prepare`, and may be computed again in `finish`.
+        """
         try:
             return attempt(file, function, *arguments)
         except (MemoryError, RuntimeError) as error:
             if not out_of_memory(error):
                 raise
-            if out_of_gpu_memory(error):
-                device = self.device  # Also while a scan is finished, if it is computed again
+            device = self.device if out_of_gpu_memory(error) else "cpu"
             hint = f"use {setting('device', 'cpu')}"
             if device == "cpu":
                 hint = f"free some memory, or use fewer {argument('jobs')}"

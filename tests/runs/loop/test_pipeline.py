@@ -9,10 +9,12 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from salsanext_cli.core.engines.batches import BatchSize
+from salsanext_cli.core.engines.device_copies import pinned, pinned_array
 from salsanext_cli.core.errors import FormatError, SalsanextError
 from salsanext_cli.io.files.atomic import MARK
 from salsanext_cli.runs.loop.pipeline import Pipeline
@@ -283,12 +285,33 @@ def no_memory(cause=None, context=None):
         (RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED"), "cuda:1"),
     ],
 )
-def test_memory_of_a_gpu_that_runs_out_at_the_end_of_a_scan_is_named(error, device):
-    """As when it is computed again; the memory of the host is "cpu"."""
-    job = Job(fails=[("finish", "1")], error=error)
+@pytest.mark.parametrize("step", STEPS)
+def test_the_memory_that_runs_out_is_named_whatever_the_step(step, error, device):
+    """A scan is computed again in `finish`; the memory of the host is "cpu"."""
+    job = Job(fails=[(step, "1")], error=error)
     attempts = [*replace(pipeline(job), device="cuda:1").run(FILES)]
     (failed,) = [attempt.error for attempt in attempts if attempt.error]
     assert failed.problem.endswith(f" {device}")
+
+
+@pytest.mark.parametrize("copy", [pinned_array, pinned])
+def test_page_locked_memory_is_that_of_the_host(monkeypatch, copy):
+    """CUDA has one error for both, and readers copy scans for the GPU."""
+
+    def fail(*_, **__):
+        raise RuntimeError("CUDA error: out of memory")
+
+    monkeypatch.setattr(torch, "empty", fail)
+    monkeypatch.setattr(torch.Tensor, "pin_memory", fail)
+
+    class CopyingJob(Job):
+        def prepare(self, file):
+            copy(np.ones(3) if copy is pinned_array else torch.ones(3), "cuda:1")
+
+    attempts = replace(pipeline(CopyingJob()), device="cuda:1").run(FILES[:1])
+    (failed,) = [attempt.error for attempt in attempts]
+    assert failed.problem.endswith(" cpu")
+    assert "jobs" in failed.hint
 
 
 def test_a_batch_that_another_thread_halved_does_not_grow_again():
