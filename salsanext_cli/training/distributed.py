@@ -18,6 +18,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.core.engines.device import PRECISIONS, choose_device
 from salsanext_cli.core.errors import SalsanextError, UsageError
+from salsanext_cli.core.notices import NOTICE, log_once
 from salsanext_cli.training.failure_watch import LEAVING_S, POLL_S, FailureWatch
 
 TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
@@ -153,9 +154,15 @@ def _device(name: str, group: ProcessGroup) -> torch.device:
 
 
 def agreed_precision(precision: str, device: torch.device | str, group: ProcessGroup) -> str:
-    """Return the number type of all workers; float32 if they differ."""
-    numbers = group.gather(torch.tensor([PRECISIONS.index(precision)], device=device))
-    return precision if len({int(number) for number in numbers}) == 1 else "float32"
+    """Return the number type of all workers; float32 with a notice if they differ."""
+    gathered = group.gather(torch.tensor([PRECISIONS.index(precision)], device=device))
+    precisions = sorted({PRECISIONS[int(number)] for number in gathered})
+    if len(precisions) == 1:
+        return precision
+    if group.is_main:
+        text = f"workers have different number types ({', '.join(precisions)}): all use float32"
+        log_once(text, NOTICE)
+    return "float32"
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:

@@ -28,7 +28,7 @@ class RunPlan:
     done : int
         Number of selected scans of the shard with results.
     todo : sequence of ScanFile
-        The other selected scans of the shard.
+        The other selected scans of the shard. A bag that fails before its clouds are read is one.
     missing : MissingResults, optional
         Selected scans without the results that the run reads.
     points_per_scan : int, optional
