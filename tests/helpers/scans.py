@@ -84,9 +84,9 @@ def named_by_hint(path: Path) -> tuple[str, ...]:
 
 
 def make_scan(count: int = 1500, seed: int = 0) -> Scan:
-    """Return points on the ground and on walls around the sensor."""
+    """Return points on the ground and on walls around the sensor, in the order of its turn."""
     random = np.random.default_rng(seed)
-    azimuth = random.uniform(-np.pi, np.pi, count)
+    azimuth = np.sort(random.uniform(-np.pi, np.pi, count))
     elevation = np.radians(random.uniform(-25, 3, count))
     wall = 12 + 8 * np.sin(3 * azimuth + seed) + random.normal(0, 0.05, count)
     ground = -1.7 / np.minimum(np.sin(elevation), -1e-3)

@@ -26,15 +26,16 @@ RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 def explained_share(values: Float, columns: int) -> float:
     """Return the share of the variance of sign, wholeness and magnitude between the columns."""
     sample = blocks_of(values, columns, VALUES // columns).reshape(-1, columns)
-    properties = properties_of(sample)
-    within = properties.var(axis=1, ddof=1).mean(axis=1)
+    # Variances of a column are computed several times as fast if its values are consecutive.
+    properties = properties_of(np.ascontiguousarray(sample.T))
+    within = properties.var(axis=2, ddof=1).mean(axis=1)
     total = properties.var(axis=(1, 2))
     vary = total > MIN_VARIANCE
     return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0
 
 
 def properties_of(sample: Double | Float) -> Double:
-    """Return sign, wholeness and magnitude of values (N, C), (3, N, C)."""
+    """Return sign, wholeness and magnitude of values (M, N), (3, M, N)."""
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         size = np.where(np.isfinite(sample), np.abs(sample.astype(np.float64)), 1.0)
         is_whole = (size > 0) & (sample == np.rint(sample))
