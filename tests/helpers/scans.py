@@ -18,6 +18,7 @@ from torch import nn
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, read_scan, write_labels
 from salsanext_cli.core.errors import SalsanextError
 from salsanext_cli.core.network.card import WeightsCard
+from salsanext_cli.core.network.error_model import ErrorModel
 from salsanext_cli.core.network.registry import ARCHITECTURES, build
 from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.io.files.atomic import write_bytes
@@ -164,12 +165,13 @@ def write_weights(
     space: LabelSpace | None = None,
     sensor: Sensor = SMALL,
     dropout: float = 0.2,
+    error: ErrorModel | None = None,
     seed: int = 0,
 ) -> Path:
     """Write a weights file of a random network."""
     space = space or label_space()
     architecture = {"name": "salsanext", "class_count": space.class_count, "dropout": dropout}
-    card = WeightsCard(architecture, space, sensor, description="random")
+    card = WeightsCard(architecture, space, sensor, description="random", error=error)
     save_weights(path, lively(build(architecture), seed), card)
     return path
 

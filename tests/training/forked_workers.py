@@ -4,6 +4,7 @@
 As a program, this file starts groups of workers side by side, and prints their exit status.
 """
 
+import importlib
 import json
 import os
 import signal
@@ -80,6 +81,8 @@ def main() -> None:
     """Fork the workers, whose interpreters end as those of torchrun, and wait for them."""
     from training import failing_workers, two_workers
 
+    # Otherwise each worker that trains would import it, for seconds.
+    importlib.import_module("torch._dynamo")
     modules = {module.__name__: module for module in (failing_workers, two_workers)}
     folder = Path(sys.argv[1])
     groups = [Group(**fields) for fields in json.loads(sys.argv[2])]

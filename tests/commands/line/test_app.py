@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import typer
 from command_line import called, every_command, invoked, logger_as_before, only_json, parsed, python
-from scans import files_below, salsanext_of, write_sequence
+from scans import files_below, salsanext_of, write_sequence, write_weights
+from shallow_network import SHALLOW
 
 from salsanext_cli import __version__
 from salsanext_cli.__main__ import main
@@ -21,6 +22,7 @@ from salsanext_cli.commands.line.options import removed
 from salsanext_cli.commands.line.output import console, help
 from salsanext_cli.core.errors import FormatError, UsageError
 from salsanext_cli.core.texts import with_hint
+from salsanext_cli.io.weights.card_file import default_weights, read_card
 
 ROOT = Path(__file__).parents[3]
 HEAVY = ("torch", "open3d", "numba", "matplotlib", "numpy", "scipy", "pandas", "joblib", "rich")
@@ -144,11 +146,16 @@ def test_help_imports_nothing_heavy():
 
 
 def test_a_second_predict_imports_no_library_that_it_does_not_compute_with(tmp_path):
-    """A run in this process fills the caches; the second runs without the compilers."""
+    """A run in this process fills the caches; the second runs without the compilers.
+
+    Its network has two levels, which this process alone knows: nothing but the graph is read.
+    """
     write_sequence(tmp_path / "data", ["0"])
     first, second = tmp_path / "first", tmp_path / "second"
-    options = ["-q", "--error", "--device", "cpu", "--width", "512"]
-    with salsanext_of():  # All channels, which the default weights have
+    weights = tmp_path / "shallow.safetensors"
+    options = ["-q", "--error", "--device", "cpu", "--weights", f"{weights}"]
+    with salsanext_of(**SHALLOW):
+        write_weights(weights, error=read_card(default_weights()).error)
         called("predict", tmp_path / "data", first, *options)
     words = ["salsanext", "predict", f"{tmp_path / 'data'}", f"{second}", *options]
     ended = python(

@@ -50,8 +50,11 @@ main()
 
 
 FORKS = """
-import json, os, signal, sys
+import json, os, signal, sys, typer
 from salsanext_cli.commands.line.output import console, interruption
+app = typer.Typer()
+app.command()(lambda: None)
+app([], standalone_mode=False)  # Imports what typer needs to build a command
 for line in sys.stdin:
     request = json.loads(line)
     process = os.fork()
