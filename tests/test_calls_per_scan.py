@@ -125,8 +125,13 @@ def tiny(tmp_path: Path, monkeypatch) -> Path:
 
 
 @pytest.fixture
-def unrendered(monkeypatch) -> None:
-    """Write pictures that matplotlib does not draw; how long that takes depends on their size."""
+def unrendered(monkeypatch, request: pytest.FixtureRequest) -> None:
+    """Write pictures that matplotlib does not draw; how long that takes depends on their size.
+
+    To arrange them would take most of a quick test.
+    """
+    if not request.node.get_closest_marker("slow"):
+        request.getfixturevalue("undrawn")
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, png, **__: png.write(b"PNG"))
 
 

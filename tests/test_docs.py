@@ -25,7 +25,16 @@ import yaml
 from command_line import called, every_command, parsed, root
 from pictures import pipeline
 from quick_streets import record
-from scans import SMALL, make_scan, write_array, write_bin, write_sequence
+from scans import (
+    SMALL,
+    make_scan,
+    salsanext_of,
+    write_array,
+    write_bin,
+    write_sequence,
+    write_weights,
+)
+from shallow_network import SHALLOW
 
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
@@ -146,8 +155,11 @@ def scans_here(tmp_path, monkeypatch) -> None:
 
 
 @pytest.fixture
-def weights_here(scans_here, narrow_default) -> None:
-    Path("weights.safetensors").symlink_to(narrow_default)
+def weights_here(scans_here, take_by_default) -> Iterator[None]:
+    """Have weights of two levels in the current folder, which are also the default ones."""
+    with salsanext_of(**SHALLOW):
+        take_by_default(write_weights(Path("weights.safetensors").absolute()))
+        yield
 
 
 def names_of_blocks(page: Path) -> dict[str, Any]:
@@ -179,7 +191,7 @@ def test_the_python_of_the_readme_runs_with_the_default_weights():
     assert abs(names["probabilities"].sum(axis=1) - 1).max() < 1e-5
 
 
-@pytest.mark.usefixtures("weights_here")
+@pytest.mark.usefixtures("weights_here", "undrawn")
 def test_the_python_of_its_page_runs():
     names = names_of_blocks(DOCS / "how-to/python.md")
     assert (names["labels"].shape, names["labels"].dtype) == ((len(names["scan"]),), np.uint8)
@@ -337,8 +349,10 @@ HELPERS = {
 """Files of these parts that the steps of a scan call."""
 
 
+@pytest.mark.usefixtures("weights_here")
 def test_a_scan_passes_through_the_documented_files_in_order(world, monkeypatch):
-    network, package = replace(world.network, engine="openvino"), f"{ROOT / 'salsanext_cli'}/"
+    network = replace(world.network, weights=Path("weights.safetensors"), engine="openvino")
+    package = f"{ROOT / 'salsanext_cli'}/"
     prepare, visited = stage.PredictJob.prepare, dict[str, None]()
 
     def note(frame, event: str, _: object) -> None:

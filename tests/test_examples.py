@@ -8,7 +8,7 @@ import re
 import runpy
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,8 @@ import numpy as np
 import plyfile
 import pytest
 from evaluation_runs import CAR, ROAD, World
-from scans import make_scan, write_array, write_bin, write_sequence
+from scans import make_scan, salsanext_of, write_array, write_bin, write_sequence, write_weights
+from shallow_network import SHALLOW
 
 from salsanext_cli import Scan, label_space, read_labels, write_labels
 from salsanext_cli.core.errors import SalsanextError
@@ -54,8 +55,10 @@ def test_imports_of_scripts_exist():
 
 
 @pytest.fixture
-def weights(narrow_weights: Path) -> Path:
-    return narrow_weights
+def weights(tmp_path: Path) -> Iterator[Path]:
+    """Return weights of two levels, which salsanext has as long as the test runs."""
+    with salsanext_of(**SHALLOW):
+        yield write_weights(tmp_path / "shallow.safetensors")
 
 
 @pytest.fixture
@@ -169,7 +172,8 @@ def test_few_labels(tmp_path, weights, capsys):
     assert lines["before"] != lines["after"]
 
 
-def test_label_array(tmp_path, monkeypatch, capsys):
+def test_label_array(tmp_path, monkeypatch, capsys, weights, take_by_default):
+    take_by_default(weights)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
     write_bin(Path("000000.bin"), make_scan())

@@ -8,13 +8,15 @@ import pickle
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import called, logger_as_before, python
-from scans import SMALL, labels_below, make_scan, write_bin, write_weights
+from scans import SMALL, labels_below, make_scan, salsanext_of, write_bin, write_weights
+from shallow_network import SHALLOW
 
 import salsanext_cli as sn
 from salsanext_cli.commands.line.output.console import Output, log_to_stderr
@@ -62,8 +64,10 @@ def test_importing_imports_nothing_heavy():
 
 
 @pytest.fixture
-def weights(narrow_weights: Path) -> Path:
-    return narrow_weights
+def weights(tmp_path: Path) -> Iterator[Path]:
+    """Return weights of two levels, which salsanext has as long as the test runs."""
+    with salsanext_of(**SHALLOW):
+        yield write_weights(tmp_path / "shallow.safetensors")
 
 
 @pytest.fixture

@@ -6,7 +6,9 @@ import re
 
 import pytest
 from command_line import PAGE_OF_JSON, documented_keys, every_command, only_json
+from quick_streets import record
 
+from salsanext_cli.commands.stages import synth
 from salsanext_cli.core.measures.expected_accuracy import expected_accuracy
 from salsanext_cli.io.weights.card_file import default_weights, read_card
 
@@ -31,7 +33,8 @@ def test_the_page_has_every_command():
     ],
     ids=lambda words: " ".join(word for word in words[:2] if word.islower()),
 )
-def test_keys_of_results_are_listed(run, data, weights, tmp_path, words):
+def test_keys_of_results_are_listed(run, data, weights, tmp_path, monkeypatch, words):
+    monkeypatch.setattr(synth, "record", record)
     places = {
         "DATA": data,
         "WEIGHTS": weights,

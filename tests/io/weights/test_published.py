@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from narrow_network import NARROW, narrow_salsanext
 from other_program import require_kept
 from scans import lively, refused
 
@@ -43,7 +44,14 @@ def published_names():
 
 @pytest.fixture(scope="module")
 def module():
-    return lively(SalsaNext(20))
+    return lively(SalsaNext(20, **NARROW))
+
+
+@pytest.fixture
+def narrow():
+    """Have as few channels in the network that is called salsanext."""
+    with narrow_salsanext():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +80,7 @@ def save(path, content):
 
 def test_a_whole_checkpoint(tmp_path, state, module):
     path = save(tmp_path / "SalsaNext", {"epoch": 7, "state_dict": state})
-    fresh = SalsaNext(20)
+    fresh = SalsaNext(20, **NARROW)
     load_tensors(fresh, read_published(path), path)
     for name, tensor in module.state_dict().items():
         assert torch.equal(fresh.state_dict()[name], tensor), name
@@ -176,7 +184,7 @@ def test_a_damaged_length_reserves_no_memory(tmp_path):
 
 
 @pytest.fixture
-def checkpoint(tmp_path, state):
+def checkpoint(tmp_path, state, narrow):
     return save(tmp_path / "SalsaNext", {"state_dict": state})
 
 
@@ -247,6 +255,7 @@ def test_an_existing_target_is_replaced_only_by_overwriting(checkpoint, tmp_path
     assert read_weights(target)
 
 
+@pytest.mark.usefixtures("narrow")
 def test_a_checkpoint_without_usable_outputs_is_refused(tmp_path, state):
     for bias, found in (
         ({"logits.bias": torch.ones(5)}, " 5 "),

@@ -159,9 +159,9 @@ def test_sources_are_printed(here, monkeypatch, capsys):
 
 
 def test_a_run_from_the_file_is_the_same_run(run, data, weights, here):
-    typed = ("--weights", weights, "--device", "cpu", "--limit", 1)
+    typed = ("--weights", weights, "--device", "cpu", "--engine", "torch", "--limit", 1)
     first = only_json(run("predict", data, "out", *typed, "--json", status=0))
-    content = f"weights = {json.dumps(str(weights))}\ndevice = 'cpu'\nlimit = 1\n"
+    content = f"weights = {json.dumps(str(weights))}\ndevice = 'cpu'\nengine = 'torch'\nlimit = 1\n"
     FILE.write_text(f"{content}fail-over = 'ece=100'\n")
     again = only_json(run("predict", data, "out", "--json", status=0))
     assert (first["done"], again["done"], again["skipped"]) == (1, 0, 1)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The layout of values without a header, by the values."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,7 +36,13 @@ BEAMS = 16
 
 
 def scan(turns=1800, beams=VLP16_DEG, seed=0):
-    """Simulate x, y, z of a scanner above flat ground, firing all beams at an azimuth."""
+    """Return x, y, z of a scanner above flat ground, firing all beams at an azimuth."""
+    return simulated(turns, tuple(beams), seed)
+
+
+@cache
+def simulated(turns, beams, seed):
+    """Simulate such a scan, once for all tests, which do not change it."""
     random = np.random.default_rng(seed)
     azimuth, elevation = np.repeat(np.linspace(-np.pi, np.pi, turns), len(beams)), np.radians(beams)
     elevation = np.tile(elevation, turns)
@@ -42,12 +50,16 @@ def scan(turns=1800, beams=VLP16_DEG, seed=0):
     down = np.minimum(1.8 / np.maximum(np.sin(-elevation), 1e-3), 40)
     ranges = np.where(elevation < 0, down, walls) * random.normal(1, 0.02, len(azimuth))
     flat = ranges * np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation)], 1)
+    axes = [flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation)]
+    points = np.stack(axes, 1)
+    points.flags.writeable = False
+    return points
 
 
-def others(points, seed=1):
-    """Return columns that programs write beside the coordinates, by name."""
-    random, count = np.random.default_rng(seed), len(points)
+@cache
+def others(count, seed=1):
+    """Return columns that programs write beside the coordinates of points, by name."""
+    random = np.random.default_rng(seed)
     normals = random.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     return {
@@ -64,7 +76,7 @@ def others(points, seed=1):
 
 
 def table(names, points):
-    found = others(points)
+    found = others(len(points))
     return np.column_stack([points, *(found[name] for name in names)]).astype(np.float32)
 
 
@@ -205,8 +217,9 @@ def test_columns_beside_a_real_point_are_no_second_point(real_data, tmp_path):
 
 
 def stored_by_column(rows):
-    """Return the values of rows column after column, by a plain loop."""
-    return np.array([row[column] for column in range(rows.shape[1]) for row in rows], np.float32)
+    """Return the values of rows column after column."""
+    columns = [rows[:, column] for column in range(rows.shape[1])]
+    return np.concatenate(columns).astype(np.float32)
 
 
 @pytest.mark.parametrize("names", RECORDS[1:4], ids="-".join)
