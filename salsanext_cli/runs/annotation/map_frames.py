@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.core.errors import FormatError
+from salsanext_cli.core.errors import FormatError, SalsanextError
 from salsanext_cli.core.records import Origin, Scan
+from salsanext_cli.io.files.json_files import read_json
 from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import (
@@ -20,14 +21,22 @@ from salsanext_cli.io.frames import (
     read_written_frames,
 )
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
-from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
+from salsanext_cli.runs.scans.layouts import PICK_RECORD, SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile
+
+IN_MAP = "in_map"
+"""Key in the record of `pick` of the sequences with frames."""
 
 
 def frames_beside(scans: Iterable[ScanFile]) -> dict[ScanFile, Origin]:
     """Return the frames of scans in files beside them, which `pick`, `convert` and `filter` write.
 
     A frame is the position of the origin of the points in map coordinates, in metres.
+
+    Raises
+    ------
+    FormatError
+        If a file is damaged, or one that `pick` wrote is missing.
     """
     listed = list(scans)
     frames = _frames_by_folder(listed)
@@ -195,5 +204,22 @@ def _frames_by_folder(scans: Iterable[ScanFile]) -> dict[Path, dict[str, Origin]
 def _frame_files(scans: Iterable[ScanFile]) -> dict[Path, Path]:
     """Return the existing files of frames beside scans, by folder of scans."""
     folders = {scan.path.parent for scan in scans if scan.path.parent.name == SCAN_FOLDER}
-    paths = {folder: folder.with_name(FRAMES) for folder in folders}
-    return {folder: path for folder, path in paths.items() if present(path)}
+    paths = {folder: folder.with_name(FRAMES) for folder in sorted(folders)}
+    existing = {folder: path for folder, path in paths.items() if present(path)}
+    for folder in paths.keys() - existing.keys():
+        _require_not_due(folder)
+    return existing
+
+
+def _require_not_due(folder: Path) -> None:
+    """Refuse a folder of picked scans without its frames: its points are not in the map."""
+    sequence = folder.parent
+    try:
+        record = read_json(sequence.parents[1] / PICK_RECORD)
+    except SalsanextError:
+        return  # Another program wrote the file.
+    in_map = record.get(IN_MAP) if record else None
+    if isinstance(in_map, dict) and sequence.name in in_map:
+        problem = "is missing, without which picked scans are not in map coordinates"
+        hint = "run `pick` again with the same settings, which writes it"
+        raise FormatError(folder.with_name(FRAMES), problem, "the frames of the scans", hint)

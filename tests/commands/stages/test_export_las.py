@@ -132,6 +132,21 @@ def test_clouds_without_a_frame_are_written_again_once_it_is_known(predicted):
         assert files_below(predicted.out) == before
 
 
+def test_picked_scans_without_their_frames_are_refused(predicted):
+    """Their points are local, and belong into a map."""
+    record = predicted.data / "pick.json"
+    path = predicted.scan().parent.with_name(FRAMES)
+    record.write_text('{"stage": "pick", "in_map": {"08": true}}')
+    caught = refused(FormatError, path, export_las, predicted.out)
+    assert "`pick` again" in caught.value.hint
+    path.write_bytes(encode_frames({"000000": (690_000.0, 5_330_000.0, 0.0)}))
+    assert export_las(predicted.out).done == 3
+    path.unlink()
+    for content in ("[]", "no record", '{"in_map": null}'):  # Also of other programs
+        record.write_text(content)
+        assert not export_las(predicted.out).failures
+
+
 def test_a_file_of_another_program_does_not_make_clouds_outdated(predicted):
     export_las(predicted.out)
     predicted.scan().parent.with_name(FRAMES).write_text("[]")

@@ -320,10 +320,12 @@ def test_frames_that_are_lost_are_written_again(in_map, has_new_record):
     assert read_frames(written) == {"000010": FRAME}
     record = in_map.out / "pick.json"
     for lose in (lambda: written.write_bytes(b""), written.unlink):  # As a power cut, and a user
+        lose()
+        # The points alone would be local ones.
+        refused(FormatError, written, frames_beside, find_scans(in_map.out))
         if not has_new_record:
             content = json.loads(record.read_text())
             record.write_text(json.dumps(content | {"in_map": None}))
-        lose()
         assert run_in_map(in_map).outcome.done == 1
         assert written.read_bytes() == expected
         assert json.loads(record.read_text())["in_map"] == {"08": True}
