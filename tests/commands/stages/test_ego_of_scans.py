@@ -101,6 +101,7 @@ def test_the_share_of_the_housing_is_counted_in_scans_larger_than_a_sample(world
         shutil.rmtree(folder)
     name, *options = command.split()
     given = ("--weights", world.network.weights, *options)
-    given = (*given, "--sensor", "hdl64", "--min-range", "1") if name == "project" else given
+    of_images = ("--sensor", "hdl64", "--min-range", "1")
+    given = (*given, *(of_images if name == "project" else ("--engine", "torch")))
     result = called(name, world.data, world.out, *given, "--json")
     assert only_json(result)["ego_share"] == round(sum(sizes) / 2 / (3 * 6000), 4)

@@ -5,8 +5,10 @@ import sys
 from dataclasses import replace
 
 import pytest
+from narrow_network import NARROW
 from other_program import require_kept
-from scans import SMALL, lively, refused
+from scans import SMALL, lively, refused, write_weights
+from shallow_network import shallow  # noqa: F401
 
 from salsanext_cli import label_space
 from salsanext_cli.commands.stages import export_onnx as stage
@@ -28,17 +30,22 @@ ODD = replace(SMALL, name="odd", height=19, width=70)
 """Neither divided by 16."""
 
 
-@pytest.mark.parametrize("sensor", [SMALL, ODD])
-def test_the_model_computes_the_logits_of_torch(sensor):
-    module, card = lively(SalsaNext()), WeightsCard({}, label_space(), sensor)
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors")
+
+
+@pytest.mark.parametrize(("sensor", "channels"), [(SMALL, NARROW), (ODD, {})])
+def test_the_model_computes_the_logits_of_torch(sensor, channels):
+    module, card = lively(SalsaNext(**channels)), WeightsCard({}, label_space(), sensor)
     model = onnx_model(module, card)
     onnx.checker.check_model(model, full_check=True)
     assert largest_difference(model.SerializeToString(), module, card) < 1e-4
 
 
-def test_a_dynamic_width(weights):
-    module, card = read_weights(weights)
-    card = replace(card, sensor=replace(SMALL, height=19))
+def test_a_dynamic_width():
+    module = lively(SalsaNext(**NARROW))
+    card = WeightsCard({}, label_space(), replace(SMALL, height=19))
     content = onnx_model(module, card, dynamic_width=True).SerializeToString()
     for width in (16, 128, 304):
         other = replace(card, sensor=replace(card.sensor, width=width))

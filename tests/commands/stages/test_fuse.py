@@ -12,6 +12,7 @@ from calls import calls_of
 from command_line import called, invoked, only_json
 from fused_arrays import fuse
 from scans import files_below, refused, write_bin
+from world import Stored
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
 from salsanext_cli.commands.line.app import app
@@ -46,6 +47,12 @@ SPACE = label_space()
 STEMS = ("000000", "000001", "000002")
 
 
+@pytest.fixture
+def world(world):
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
+
+
 def way(count):
     """Return the poses of a drive that turns."""
     poses = np.tile(np.eye(4), (count, 1, 1))
@@ -77,12 +84,21 @@ def typed(hint):
     called(*words)
 
 
-@pytest.fixture
-def drive(world):
+def predict_drive(world):
     """Predict a drive of three scans of one place."""
-    folder = write_drive(world, 3)
-    predict_scans(folder, world.out, settings=world.network, extras=("probabilities",))
-    return world
+    network = world.unfitted().network
+    predict_scans(write_drive(world, 3), world.out, settings=network, extras=("probabilities",))
+
+
+@pytest.fixture(scope="module")
+def once_driven(tmp_path_factory, weights):
+    return Stored(tmp_path_factory.mktemp("driven"), weights, predict_drive)
+
+
+@pytest.fixture
+def drive(once_driven):
+    """Return a world with predictions of such a drive."""
+    return once_driven.restored().unfitted()
 
 
 def fused_folder(world):

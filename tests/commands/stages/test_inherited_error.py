@@ -131,6 +131,7 @@ def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog
     assert "not inherited" in caplog.text
 
 
+@pytest.mark.usefixtures("one_step_fits")
 def test_weights_without_either_have_no_heirs_and_no_notice(data, start, tmp_path, caplog):
     caplog.set_level(NOTICE)
     save_with_card(start, start, replace(read_card(start), error=None, accuracy=None))
@@ -139,6 +140,12 @@ def test_weights_without_either_have_no_heirs_and_no_notice(data, start, tmp_pat
     card = read_card(go(data, tmp_path / "run", start, recipe).best)
     assert (card.error, card.accuracy) == (None, None)
     assert "inherited" not in caplog.text
+
+
+@pytest.fixture
+def world(world: World) -> World:
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
 
 
 @pytest.fixture

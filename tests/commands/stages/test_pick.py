@@ -52,6 +52,12 @@ def few_samples():
 
 
 @pytest.fixture
+def world(world):
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
+
+
+@pytest.fixture
 def drive(world):
     """Return the world with a drive of six scans, no two of them equal, with poses."""
     return with_drive(world)
@@ -59,13 +65,14 @@ def drive(world):
 
 @pytest.fixture(scope="module")
 def once_picked(tmp_path_factory, weights, few_samples):
-    return Stored(tmp_path_factory.mktemp("picked"), weights, lambda world: run(with_drive(world)))
+    folder = tmp_path_factory.mktemp("picked")
+    return Stored(folder, weights, lambda world: run(with_drive(world.unfitted())))
 
 
 @pytest.fixture
 def picked(once_picked):
     """Return the drive, three scans of which are picked."""
-    return once_picked.restored()
+    return once_picked.restored().unfitted()
 
 
 def with_drive(world):

@@ -39,13 +39,13 @@ TRAINED = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_L
 
 def leaning(seed):
     """Return a scan of a sensor that leans by 30° and writes bytes."""
-    scan = make_scan(3000, seed)
+    scan = make_scan(1500, seed)
     points = (scan.points @ LEANING).astype(np.float32)
     return Scan(points, (200 * scan.intensity**3).astype(np.float32))
 
 
 def level(seed):
-    return make_scan(9000, seed)
+    return make_scan(4500, seed)
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_one_sensor_is_recorded_as_before(network, tmp_path):
 
 
 def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
-    for number in range(40):
+    for number in range(24):
         write_bin(tmp_path / f"many/{number:02}.bin", (leaning if number == 1 else level)(number))
     outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
     names = [name for name, _ in outcome.summary.findings.by_code["mixed-sensors"]]
@@ -155,7 +155,7 @@ def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
 def test_no_accuracy_is_estimated_beside_scans_of_another_sensor(network, tmp_path, narrow_default):
     """Whether the warning arose in this run, in another shard, or in an earlier run."""
     many, out, file = tmp_path / "many", tmp_path / "out", tmp_path / "line.safetensors"
-    for number in range(40):
+    for number in range(24):
         write_bin(many / f"{number:02}.bin", (leaning if number == 1 else level)(number))
     card = replace(read_card(network.weights), accuracy=AccuracyLine(1.0, 0.0, 0.05))
     save_with_card(network.weights, file, card)
@@ -164,12 +164,12 @@ def test_no_accuracy_is_estimated_beside_scans_of_another_sensor(network, tmp_pa
     def estimate(**options):
         return predict_scans(many, out, settings=network, **options).summary.expected_accuracy()
 
-    last, first = (RunOptions(shard=Shard(number, 20)) for number in (20, 1))
+    last, first = (RunOptions(shard=Shard(number, 12)) for number in (12, 1))
     assert estimate(options=last).scans == 2
     of_first = estimate(options=first)
     assert of_first.accuracy is None
     assert of_first.withheld["mixed-sensors"] == 1
-    next_shard = estimate(options=RunOptions(shard=Shard(2, 20)))
+    next_shard = estimate(options=RunOptions(shard=Shard(2, 12)))
     assert (next_shard.accuracy, next_shard.withheld) == (None, {"mixed-sensors": 1})
     kept = estimate(selection=ScanSelection(limit=6))
     assert (kept.accuracy, kept.withheld) == (None, {"mixed-sensors": 1})
@@ -177,7 +177,7 @@ def test_no_accuracy_is_estimated_beside_scans_of_another_sensor(network, tmp_pa
     # Without its results the warning concerns nothing in the folder.
     (odd,) = out.glob("sequences/*/predictions/01.label")
     odd.unlink()
-    assert estimate(options=RunOptions(shard=Shard(10, 20))).accuracy is not None
+    assert estimate(options=RunOptions(shard=Shard(10, 12))).accuracy is not None
     assert read_run(out)[0].expected_accuracy().accuracy is not None
 
 

@@ -20,12 +20,24 @@ from salsanext_cli.io.formats.kitti import read_bin
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.scans.scan_search import find_scans
+from salsanext_cli.synthesis import drive
+from salsanext_cli.synthesis.street import traffic
 
 TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 
 
+@pytest.fixture(autouse=True, scope="module")
+def short_street():
+    """Build a third of a street, and simulate a sixth of the pulses of the sensor."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("salsanext_cli.synthesis.lidar.AZIMUTH_STEP_DEG", 1.0)
+        for module in (drive, traffic):
+            patch.setattr(module, "RUN_OUT_M", 20.0)
+        yield
+
+
 @pytest.fixture(scope="module")
-def streets(tmp_path_factory):
+def streets(short_street, tmp_path_factory):
     """Return a folder with three small sequences, the result and the progress."""
     out = tmp_path_factory.mktemp("synth") / "streets"
     calls, counts = [], dict.fromkeys(("train", "valid", "test"), 1)

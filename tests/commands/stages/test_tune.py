@@ -49,6 +49,12 @@ FEW = {"samples": 3}
 VALID = ScanSelection("valid")
 
 
+@pytest.fixture
+def world(world):
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
+
+
 @pytest.fixture(autouse=True)
 def few_rates(monkeypatch):
     """Let `tune dropout` try three rates."""
@@ -93,6 +99,7 @@ def test_progress_and_selection(world, target, caplog):
     assert named == [f"08/00000{i}" for i in (0, 2, 4)]
 
 
+@pytest.mark.usefixtures("one_step_fits")
 @pytest.mark.parametrize("part", ["temperature", "error", "dropout", "risk"])
 def test_scans_of_training_and_copies_are_skipped(drawn, target, tmp_path, caplog, part):
     """Of three scans, one was trained on and one is its copy."""
@@ -146,22 +153,22 @@ def test_what_can_be_seen_at_once_is_refused_before_the_network_is_loaded(world,
     assert not loadings
 
 
-@pytest.mark.parametrize("words", [("tune", "error", "IN", "OUT"), ("eval", "IN")])
-def test_refusing_needs_no_torch(tmp_path, words):
+def test_refusing_needs_no_torch(tmp_path):
     """Importing it takes longer than all other packages together."""
-    names = {"IN": str(tmp_path / "nowhere"), "OUT": str(tmp_path / "w.safetensors")}
-    command = [names.get(word, word) for word in words]
+    nowhere = str(tmp_path / "nowhere")
+    commands = [["tune", "error", nowhere, str(tmp_path / "w.safetensors")], ["eval", nowhere]]
     ended = python(
         f"""
 import sys
 from salsanext_cli.commands.line.app import app
-try:
-    app({command!r})
-except SystemExit as end:
-    print(end.code, "torch" in sys.modules, "openvino" in sys.modules)
+for command in {commands!r}:
+    try:
+        app(command)
+    except SystemExit as end:
+        print(end.code, "torch" in sys.modules, "openvino" in sys.modules)
 """
     )
-    assert ended.stdout == "1 False False\n", ended.stderr
+    assert ended.stdout == 2 * "1 False False\n", ended.stderr
 
 
 def test_sequences_of_no_split_are_used_and_those_of_training_named(world, target, caplog):
@@ -316,6 +323,7 @@ def slow_mean(world, path, rate):
 
 
 def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, tmp_path):
+    write_sequence(world.data / "sequences/08", ["000000", "000001"], count=600)
     tuned = go(world, target, "dropout")
     slow = [slow_mean(world, tmp_path / "w.safetensors", rate) for rate in tuned["rates"]]
     np.testing.assert_allclose(tuned["objectives"], slow, rtol=1e-5)
@@ -332,10 +340,11 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
 def test_weights_without_dropout_get_the_layers_of_the_paper(world, target, tmp_path):
     certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
     settings = NetworkSettings(certain, "cpu", engine="torch")
-    tuned = go(world, target, "dropout", settings=settings)
+    once = {"selection": ScanSelection("valid", limit=1)}
+    tuned = go(world, target, "dropout", settings=settings, **once)
     assert tuned["before"] == 0
     assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
-    usual = go(world, target, "dropout", overwrite=True)
+    usual = go(world, target, "dropout", overwrite=True, **once)
     usual["objectives"].pop(usual["rates"].index(0.2))
     assert tuned["objectives"] == usual["objectives"]
 

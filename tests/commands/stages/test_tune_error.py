@@ -46,6 +46,12 @@ ALL = ScanSelection()
 SPACE = label_space()
 
 
+@pytest.fixture
+def world(world: World) -> World:
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
+
+
 def label_far_points_wrongly(world: World) -> World:
     """Label all scans as the network does, except points beyond their median range."""
     truth = world.out.with_name("truth")
@@ -118,7 +124,7 @@ class FittedRuns:
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> FittedRuns:
     folder = tmp_path_factory.mktemp("error")
-    world = label_far_points_wrongly(World.made(folder, weights))
+    world = label_far_points_wrongly(World.made(folder, weights).unfitted())
     target, rejecting = folder / "tuned.safetensors", folder / "rejecting"
     tuned = world.tune("error", target)
     network = replace(world.network, weights=target)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune int8`, and predictions in int8."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,13 @@ from salsanext_cli.runs.fit import sensor_fit
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.training.tuning.int8 import int8_layers
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+
+@pytest.fixture(autouse=True, scope="module")
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what is compiled in one folder for all tests, which compile the same networks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture

@@ -52,6 +52,12 @@ ALL = ScanSelection()
 SPACE = label_space()
 
 
+@pytest.fixture
+def world(world: World) -> World:
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
+
+
 def label_unsure_points_wrongly(world: World) -> World:
     """Label all scans as the network does, except the half with the lowest confidence."""
     predicted = world.out.with_name("predicted")
@@ -123,7 +129,7 @@ class Messages(logging.Handler):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> RejectedRun:
     folder = tmp_path_factory.mktemp("risk")
-    world = label_unsure_points_wrongly(World.made(folder, weights))
+    world = label_unsure_points_wrongly(World.made(folder, weights).unfitted())
     target = folder / "tuned.safetensors"
     tuned = world.tune("risk", target, at_most=0.3)
     network = replace(world.network, weights=target)
@@ -343,7 +349,9 @@ def test_a_held_out_drive_is_judged_by_the_guarantee(confidence, is_above) -> No
 
 @pytest.mark.usefixtures("in_few_steps")
 def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -> None:
-    world = unsure_is_wrong
+    # A sensor that is stated leaves no room for a minimum range.
+    fitted = replace(unsure_is_wrong.network, sensor="auto")
+    world = replace(unsure_is_wrong, network=fitted)
     with pytest.raises(WeightsError) as caught:
         predict_scans(world.data, world.out, settings=world.network, reject="risk")
     assert "`salsanext tune risk" in caught.value.hint

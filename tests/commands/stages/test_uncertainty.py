@@ -26,6 +26,12 @@ NAN, INF = float("nan"), float("inf")
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
 
 
+@pytest.fixture
+def world(world):
+    """Return the world with the sensor of its scans: nothing here depends on a fit."""
+    return world.unfitted()
+
+
 def run(world, source=None, out=None, *, options=RunOptions(), **how):
     given = {"settings": world.network, "method": UncertaintyMethod(**{"samples": 3} | how)}
     return uncertainty(source or world.data, out or world.out, options=options, **given)

@@ -18,6 +18,7 @@ from salsanext_cli.core.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.core.geometry.knn import knn_refine
 from salsanext_cli.core.geometry.row_gaps import column_gaps
 from salsanext_cli.core.network.card import AccuracyLine, FittedParts
+from salsanext_cli.core.uncertainty.method import UncertaintyMethod
 from salsanext_cli.io.weights.card_file import read_card
 from salsanext_cli.io.weights.weights import save_with_card
 from salsanext_cli.runs.fit.range_images import projected_sensor
@@ -136,7 +137,8 @@ def test_projected_images_of_a_width_are_labelled_at_that_width(mixed):
 
 
 def test_the_uncertainty_is_of_images_of_the_width(mixed):
-    uncertainty(mixed.data, mixed.out, settings=at(mixed, NARROW).network)
+    few = UncertaintyMethod(samples=2, aleatoric="none")
+    uncertainty(mixed.data, mixed.out, settings=at(mixed, NARROW).network, method=few)
     assert Manifest(mixed.out).settings("uncertainty").sensor.width == NARROW
 
 
