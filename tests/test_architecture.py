@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from package_trees import MODULES, PACKAGE, name_of, tree_of
+from package_trees import MODULES, PACKAGE, name_of, nodes_of, tree_of
 
 from salsanext_cli.commands.line.app import COMMANDS
 from salsanext_cli.core.texts import percentage
@@ -89,7 +89,7 @@ def part_of_names(names: Sequence[str]) -> str:
 
 def imported(tree: ast.AST) -> Iterator[str]:
     """Yield every module that is imported anywhere, inside functions too."""
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -135,7 +135,7 @@ def test_no_modules_import_each_other_in_a_circle():
 
 def types(tree: ast.AST) -> Iterator[str]:
     """Yield the types of all arguments, fields and results, and the calls that check a type."""
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation:
             yield ast.unparse(node.annotation)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
@@ -169,10 +169,10 @@ def texts(tree: ast.Module) -> Iterator[str]:
     described = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     docstrings = {
         node.body[0].value
-        for node in ast.walk(tree)
+        for node in nodes_of(tree)
         if isinstance(node, described) and node.body and isinstance(node.body[0], ast.Expr)
     }
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         is_text = isinstance(node, ast.Constant) and isinstance(node.value, str)
         if is_text and node not in docstrings:
             yield node.value
@@ -245,7 +245,7 @@ def test_percentages_of_messages_have_one_form():
     specs = [
         f"{name_of(module)}:{node.lineno}"
         for module in MODULES
-        for node in ast.walk(tree_of(module))
+        for node in nodes_of(tree_of(module))
         if isinstance(node, ast.FormattedValue) and node.format_spec
         if ast.unparse(node.format_spec).rstrip("'\"").endswith("%")
     ]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from package_trees import MODULES, name_of, tree_of
+from package_trees import MODULES, name_of, nodes_of, tree_of
 
 ROOT = Path(__file__).parents[1]
 REMOVERS = {
@@ -80,7 +80,7 @@ WRITING_MODE = re.compile(r"[wxa+rbt]*[wxa+][wxa+rbt]*")
 def imported_names(tree: ast.AST) -> dict[str, str]:
     """Return the full name of everything that a module imports, by the name that it uses."""
     full: dict[str, str] = {}
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.Import):
             full |= {alias.asname: alias.name for alias in node.names if alias.asname}
         elif isinstance(node, ast.ImportFrom):
@@ -108,7 +108,7 @@ def last_name(node: ast.expr) -> str:
 def open_files(tree: ast.AST) -> set[str]:
     """Return the names of files that are open, or in memory: writing into them replaces none."""
     names: set[str] = set()
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.withitem) and isinstance(node.optional_vars, ast.Name):
             names.add(node.optional_vars.id)
         elif isinstance(node, ast.Lambda):
@@ -158,7 +158,7 @@ def removals(tree: ast.AST) -> Iterator[str]:
     for local, full in names.items():
         if full in REPLACING_OF_OS or full.rpartition(".")[2] in REMOVAL_NAMES:
             yield local
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if isinstance(node, ast.Attribute) and is_removal(node, names):
             yield ast.unparse(node)
         if isinstance(node, ast.Call) and (replaces_path(node) or opens_for_writing(node)):
@@ -178,7 +178,7 @@ def library_writes(tree: ast.AST) -> Iterator[str]:
     """Yield the calls by which a path or a library writes a file, as code."""
     names = imported_names(tree)
     files = open_files(tree)
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         if not isinstance(node, ast.Call) or not writes(node.func, names):
             continue
         # The formatter of the help has a method `write_text` as well.
@@ -276,7 +276,7 @@ def imported_from_io(tree: ast.AST) -> set[str]:
     """Return the names that a module imports from the wing of files."""
     return {
         alias.name
-        for node in ast.walk(tree)
+        for node in nodes_of(tree)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("salsanext_cli.io.")
         for alias in node.names
     }

@@ -2,10 +2,11 @@
 """A module has a test file of its name, at its place in the tree, or a row here states another."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
-from package_trees import MODULES, imports_of
+from package_trees import MODULES, imports_of, nodes_of, tree_of
 
 from tools.mirrored_tests import PACKAGE, TESTS, mirror_of, without_mirror
 
@@ -214,13 +215,14 @@ def files_of_test(path: Path) -> set[Path]:
 
 def imported_names(path: Path) -> set[str]:
     """Return the names of the modules that a file imports."""
-    nodes = [*ast.walk(ast.parse(path.read_text("utf-8")))]
+    nodes = nodes_of(tree_of(path))
     names = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
     return names | {
         alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names
     }
 
 
+@cache
 def reached(test: str) -> set[str]:
     """Return the modules that a test file and its helpers import, and those that these import."""
     imported = {name for file in files_of_test(TESTS / test) for name in imports_of(file)}

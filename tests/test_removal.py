@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from package_trees import MODULES, PACKAGE, imports_of, name_of, tree_of
+from package_trees import MODULES, PACKAGE, imports_of, name_of, nodes_of, tree_of
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/project/development.md").read_text("utf-8")
@@ -41,10 +41,10 @@ def belongs(name: str, paths: set[str]) -> bool:
 
 def words_of_code(tree: ast.AST) -> set[str]:
     """Return the names and texts of a module, docstrings aside."""
-    statements = (node.value for node in ast.walk(tree) if isinstance(node, ast.Expr))
+    statements = (node.value for node in nodes_of(tree) if isinstance(node, ast.Expr))
     docstrings = {id(value) for value in statements if isinstance(value, ast.Constant)}
     words: set[str] = set()
-    for node in ast.walk(tree):
+    for node in nodes_of(tree):
         match node:
             case ast.Constant(value=str(text)) if id(node) not in docstrings:
                 words.add(text)

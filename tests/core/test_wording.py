@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import called, every_command, only_json, parsed, subject
-from package_trees import MODULES, PACKAGE, tree_of
+from package_trees import MODULES, PACKAGE, nodes_of, tree_of
 from scans import refused, write_sequence
 from worker_tasks import name_argument, scans_of
 
@@ -22,7 +22,6 @@ from salsanext_cli.io.sensors import sensor
 from salsanext_cli.runs.loop.run import RunOptions, run_over_scans
 from salsanext_cli.training.recipe import Recipe
 
-TREES = {module: tree_of(module) for module in MODULES}
 SPELLERS = ("argument", "setting", "share", "part")
 
 
@@ -98,10 +97,10 @@ def test_fields_of_records_are_spelled_as_their_options():
 def spelled_names() -> set[str]:
     """Return the names of arguments that messages of stages, and below, spell."""
     names: set[str] = set()
-    for module, tree in TREES.items():
+    for module in MODULES:
         if module.is_relative_to(PACKAGE / "commands/line"):
             continue
-        for node in ast.walk(tree):
+        for node in nodes_of(tree_of(module)):
             if not isinstance(node, ast.Call):
                 continue
             function = getattr(node.func, "id", getattr(node.func, "attr", ""))
@@ -114,9 +113,9 @@ def spelled_names() -> set[str]:
 def parameters_and_fields() -> set[str]:
     """Return the names of arguments of all functions and of fields of all records."""
     names: set[str] = set()
-    for module, tree in TREES.items():
+    for module in MODULES:
         if not module.is_relative_to(PACKAGE / "commands/line"):
-            nodes = [*ast.walk(tree)]
+            nodes = nodes_of(tree_of(module))
             names |= {node.arg for node in nodes if isinstance(node, ast.arg)}
             fields = [node.target for node in nodes if isinstance(node, ast.AnnAssign)]
             names |= {target.id for target in fields if isinstance(target, ast.Name)}

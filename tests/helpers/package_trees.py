@@ -3,6 +3,7 @@
 
 import ast
 import re
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -24,8 +25,14 @@ MODULE_OF = {
 
 @cache
 def tree_of(module: Path) -> ast.Module:
-    """Return the syntax tree of a module, which is parsed once per test process."""
+    """Return the syntax tree of a file, which is parsed once per test process."""
     return ast.parse(module.read_text("utf-8"))
+
+
+@cache
+def nodes_of(tree: ast.AST) -> tuple[ast.AST, ...]:
+    """Return all nodes of a syntax tree, which is walked once per test process."""
+    return tuple(ast.walk(tree))
 
 
 @cache
@@ -34,10 +41,10 @@ def imports_of(path: Path) -> frozenset[str]:
 
     A public name stands for its module, such as `label` for api.py.
     """
-    tree = ast.parse(path.read_text("utf-8"))
-    public = {alias.asname or alias.name for alias in _imported(tree) if alias.name == NAME}
+    nodes = nodes_of(tree_of(path))
+    public = {alias.asname or alias.name for alias in _imported(nodes) if alias.name == NAME}
     dotted: set[str] = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.Import(names=aliases):
                 dotted.update(alias.name.removeprefix(f"{NAME}.") for alias in aliases)
@@ -53,8 +60,8 @@ def imports_of(path: Path) -> frozenset[str]:
     return frozenset(MODULE_OF[name] for name in dotted | homes if name in MODULE_OF)
 
 
-def _imported(tree: ast.AST) -> list[ast.alias]:
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import)]
+def _imported(nodes: Iterable[ast.AST]) -> list[ast.alias]:
+    imports = [node for node in nodes if isinstance(node, ast.Import)]
     return [alias for node in imports for alias in node.names]
 
 
