@@ -40,13 +40,12 @@ def test_no_script_lies_outside_the_rooms():
     assert shared_by_rooms == {"__init__", "commands", "finished_scans", "processes"}
 
 
-@pytest.mark.parametrize(
-    "page", [*guide.PAGES, README, *sorted(FOLDER.rglob("*.py"))], ids=lambda page: page.name
-)
-def test_pages_and_scripts_name_scripts_that_exist(page):
-    text = page.read_text("utf-8")
-    assert [name for name in COMMAND.findall(text) if find_spec(name) is None] == []
-    assert [name for name in FILE.findall(text) if not (FOLDER.parent / name).is_file()] == []
+def test_pages_and_scripts_name_scripts_that_exist():
+    for page in (*guide.PAGES, README, *sorted(FOLDER.rglob("*.py"))):
+        text = page.read_text("utf-8")
+        unknown = [name for name in COMMAND.findall(text) if find_spec(name) is None]
+        absent = [name for name in FILE.findall(text) if not (FOLDER.parent / name).is_file()]
+        assert (unknown, absent) == ([], []), page
 
 
 def test_links_of_the_readme_lead_somewhere():
