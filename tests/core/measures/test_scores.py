@@ -9,7 +9,6 @@ import yaml
 from evaluation_runs import small_space
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn import metrics
 
 from salsanext_cli.core.measures.scores import confusion_matrix, scores
 
@@ -27,6 +26,8 @@ def of(pairs):
 
 @given(PAIRS.filter(len), PAIRS.filter(len))
 def test_counts_are_those_of_scikit_learn_and_add_up(one, two):
+    from sklearn import metrics  # It takes a second.
+
     expected = metrics.confusion_matrix(*split(one + two), labels=range(4))
     np.testing.assert_array_equal(confusion_matrix(*split(one + two), 4), expected)
     parts = [confusion_matrix(*split(pairs), 4) for pairs in (one, two)]

@@ -6,13 +6,13 @@ from fractions import Fraction
 from functools import reduce
 from itertools import chain
 from operator import iadd
+from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import entr
-from sklearn.metrics import average_precision_score, brier_score_loss, log_loss, roc_auc_score
 
 from salsanext_cli.core.measures.calibration import calibration_scores, reliability
 from salsanext_cli.core.measures.histograms import (
@@ -71,11 +71,21 @@ def mean(values) -> float:
     return float(sum(values) / len(values))
 
 
+@pytest.fixture(scope="module")
+def metrics() -> ModuleType:
+    """Return the measures of scikit-learn, which takes a second to import."""
+    from sklearn import metrics
+
+    return metrics
+
+
 @given(POINTS.filter(lambda points: len({wrong for _, wrong in points}) == 2))
-def test_auroc_and_precision_are_those_of_scikit_learn(points):
+def test_auroc_and_precision_are_those_of_scikit_learn(metrics, points):
     uncertainty, wrong = zip(*points, strict=True)
-    assert scores(points).auroc == pytest.approx(roc_auc_score(wrong, uncertainty), abs=1e-13)
-    expected = average_precision_score(wrong, uncertainty)
+    assert scores(points).auroc == pytest.approx(
+        metrics.roc_auc_score(wrong, uncertainty), abs=1e-13
+    )
+    expected = metrics.average_precision_score(wrong, uncertainty)
     assert scores(points).aupr == pytest.approx(expected, abs=1e-13)
 
 
@@ -97,14 +107,16 @@ def test_risk_and_sparsification_are_those_of_a_slow_loop(points):
     assert result.ause == pytest.approx(mean(gaps), abs=1e-11)
 
 
-def test_binned_values_rank_nearly_as_raw_values():
+def test_binned_values_rank_nearly_as_raw_values(metrics):
     """Pairs within a bin are tied, here about one in a thousand."""
     rng = np.random.default_rng(0)
     uncertainty = np.exp(rng.normal(-12, 2, 4000)).astype(np.float32)
     wrong = rng.random(4000) < np.clip(uncertainty * 2e4, 0.05, 0.6)
     result = ranking_scores(of(uncertainty, wrong))
-    assert result.auroc == pytest.approx(roc_auc_score(wrong, uncertainty), abs=1e-4)
-    assert result.aupr == pytest.approx(average_precision_score(wrong, uncertainty), abs=1e-3)
+    assert result.auroc == pytest.approx(metrics.roc_auc_score(wrong, uncertainty), abs=1e-4)
+    assert result.aupr == pytest.approx(
+        metrics.average_precision_score(wrong, uncertainty), abs=1e-3
+    )
     risks = wrong[np.argsort(uncertainty)].cumsum() / np.arange(1, 4001)
     assert result.aurc == pytest.approx(risks.mean(), abs=5e-5)
     assert result.mean == pytest.approx(uncertainty.astype(float).mean(), rel=1e-12)
@@ -214,11 +226,11 @@ def slow_error(probabilities: np.ndarray, truth: np.ndarray, bins: int) -> float
 
 
 @SEEDS
-def test_log_likelihood_and_brier_are_those_of_scikit_learn(seed):
+def test_log_likelihood_and_brier_are_those_of_scikit_learn(metrics, seed):
     probabilities, truth = softmax(seed)
     exact = probabilities.astype(float)
     exact /= exact.sum(axis=1, keepdims=True)
-    expected = brier_score_loss(truth, exact, labels=range(C), scale_by_half=False)
+    expected = metrics.brier_score_loss(truth, exact, labels=range(C), scale_by_half=False)
     assert calibration_scores(confidence_histogram(exact, truth)).brier == pytest.approx(
         expected, rel=1e-12
     )
@@ -226,7 +238,7 @@ def test_log_likelihood_and_brier_are_those_of_scikit_learn(seed):
     # Rows that do not sum to 1 are scaled there, so the true class's share is given as one of two.
     of_truth = clamped[np.arange(len(truth)), truth]
     pairs = np.stack([1 - of_truth, of_truth], axis=1)
-    expected = log_loss(np.ones(len(truth)), pairs, labels=[0, 1])
+    expected = metrics.log_loss(np.ones(len(truth)), pairs, labels=[0, 1])
     scores = calibration_scores(confidence_histogram(probabilities, truth))
     assert scores.nll == pytest.approx(expected, rel=1e-12)
 

@@ -239,9 +239,8 @@ def normal_quadrature(*cuts):
     nodes, weights = LEGENDRE
     pieces = [(a, (b - a) / 2) for a, b in pairwise(edges)]
     z = np.concatenate([a + half * (nodes + 1) for a, half in pieces])
-    return z, np.concatenate([half * weights for _, half in pieces]) * np.exp(
-        -(z**2) / 2
-    ) / np.sqrt(2 * np.pi)
+    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+    return z, np.concatenate([half * weights for _, half in pieces]) * density
 
 
 def quadrature(function, *cuts):
