@@ -11,7 +11,8 @@ import pytest
 from calls import calls_of
 from command_line import called, invoked, only_json
 from fused_arrays import fuse
-from scans import files_below, refused, write_bin
+from scans import files_below, refused, write_bin, write_weights
+from shallow_network import shallow  # noqa: F401
 from world import Stored
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
@@ -45,6 +46,12 @@ from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 SPACE = label_space()
 STEMS = ("000000", "000001", "000002")
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """Return shallow weights that are confident, with labels of several classes."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors", seed=9)
 
 
 @pytest.fixture

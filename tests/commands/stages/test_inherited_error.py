@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from evaluation_runs import run_of
-from scans import SMALL, write_sequence
+from scans import SMALL, write_sequence, write_weights
+from shallow_network import shallow  # noqa: F401
 from tiny_network import TinyNetwork
 from world import World
 
@@ -140,6 +141,12 @@ def test_weights_without_either_have_no_heirs_and_no_notice(data, start, tmp_pat
     card = read_card(go(data, tmp_path / "run", start, recipe).best)
     assert (card.error, card.accuracy) == (None, None)
     assert "inherited" not in caplog.text
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return shallow weights that are confident, with labels of several classes."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors", seed=9)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import pytest
 import yaml
 from calls import calls_of
 from scans import SMALL, files_below, make_scan, refused, write_sequence, write_weights
+from shallow_network import shallow  # noqa: F401
 from world import Stored
 
 from salsanext_cli import (
@@ -49,6 +50,12 @@ def few_samples():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("salsanext_cli.commands.stages.pick.SAMPLES", PASSES["samples"])
         yield
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """Return weights of the shallow network: what it computes does not matter here."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors")
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from scans import (
     write_sequence,
     write_weights,
 )
+from shallow_network import shallow  # noqa: F401
 
 from salsanext_cli import Scan, knn_refine, project, read_scan
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
@@ -31,6 +32,12 @@ from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """Return weights of the shallow network: what it computes does not matter here."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors")
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ FEW = Recipe(
     average=0.5,
     sensors="fitted",
 )
-SHORT = FEW.with_changes(epochs=1)
+SHORT = FEW.with_changes(epochs=1, samples_per_epoch=2)
 """For tests that ask what is trained on, not how the number of epochs is chosen."""
 
 pytestmark = pytest.mark.usefixtures("tiny_training")
@@ -239,7 +239,7 @@ def test_a_single_scan_is_trained_on_with_a_warning(data, tmp_path, caplog):
 
 def test_a_validation_split_that_names_every_scan_is_used(data, tmp_path):
     write_splits(data, train=["a", "b"], valid=["c"])
-    result = go(data, tmp_path / "run")
+    result = go(data, tmp_path / "run", SHORT)
     assert result.expected is None
     assert result.best_miou == max(row["miou"] for row in result.rows)
     assert not (tmp_path / "run/folds").exists()
@@ -349,7 +349,7 @@ def test_scenes_of_other_classes_are_not_simulated(data, tmp_path, simulated, ca
 
 def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
     write_splits(data, train=[], valid=["b"], test=["c"])
-    go(data, tmp_path / "run")
+    go(data, tmp_path / "run", SHORT)
     assert "1 of 3 scans used; not used: b (split valid), c (split test)" in caplog.text
     write_splits(data, train=[], valid=["b"], test=["a", "c"])
     with pytest.raises(NoInputError):

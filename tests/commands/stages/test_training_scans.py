@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import refused, write_bin
+from scans import refused, write_bin, write_weights
+from shallow_network import shallow  # noqa: F401
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
@@ -34,6 +35,12 @@ from salsanext_cli.runs.scans.scan_search import find_scans
 SPACE = label_space()
 FEW_PASSES = UncertaintyMethod(samples=2, aleatoric="none")
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return weights of the shallow network: what it computes does not matter here."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors")
 
 
 @pytest.fixture

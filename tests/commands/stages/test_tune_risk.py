@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scans import refused
+from scans import refused, write_weights
+from shallow_network import shallow  # noqa: F401
 from world import World
 
 from salsanext_cli import label_space, read_labels, write_labels
@@ -50,6 +51,12 @@ from salsanext_cli.training.tuning.risk_level import FewUnits, RiskLevel
 
 ALL = ScanSelection()
 SPACE = label_space()
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return shallow weights that are confident, with labels of several classes."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors", seed=9)
 
 
 @pytest.fixture

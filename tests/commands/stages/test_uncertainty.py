@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scans import SMALL, files_below, labels_below, replace_points, write_weights
+from shallow_network import shallow  # noqa: F401
 
 from salsanext_cli import knn_refine, label_space, project, read_scan, sample
 from salsanext_cli.commands.stages.knn_refine import knn_refine_scans
@@ -24,6 +25,12 @@ from salsanext_cli.runs.scans.scan_selection import ScanSelection
 KINDS = UncertaintyMethod().kinds
 NAN, INF = float("nan"), float("inf")
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """Return shallow weights that are confident, with labels of several classes."""
+    return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors", seed=9)
 
 
 @pytest.fixture
