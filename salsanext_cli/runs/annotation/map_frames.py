@@ -215,7 +215,7 @@ def _require_not_due(folder: Path) -> None:
     """Refuse a folder of picked scans without its frames: its points are not in the map."""
     sequence = folder.parent
     try:
-        record = read_json(sequence.parents[1] / PICK_RECORD)
+        record = read_json(sequence.parent.parent / PICK_RECORD)
     except SalsanextError:
         return  # Another program wrote the file.
     in_map = record.get(IN_MAP) if record else None

@@ -2,6 +2,7 @@
 """Frames beside scans, and in their files."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from scans import make_scan, refused, write_sequence
@@ -19,6 +20,7 @@ from salsanext_cli.runs.annotation.map_frames import (
     write_frames,
 )
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
+from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_search import find_scans
 
 FRAME = (500_000.0, 5_400_000.0, 0.0)
@@ -40,6 +42,13 @@ def test_the_frame_of_the_file_comes_before_that_beside_it(scans):
     in_map = replace(around_sensor, notes=replace(around_sensor.notes, frame=OTHER))
     assert [frame_of(scan, around_sensor, beside) for scan in scans] == [*[NO_SHIFT] * 3, FRAME]
     assert {frame_of(scan, in_map, beside) for scan in scans} == {OTHER}
+
+
+def test_scans_in_a_folder_of_the_root_have_no_frames():
+    """Containers mount folders there."""
+    path = Path("/not-a-folder/velodyne/000000.bin")
+    scan = ScanFile(sequence="not-a-folder", stem="000000", path=path)
+    assert frames_beside([scan]) == {}
 
 
 def test_the_digest_is_that_of_whole_files(scans):
