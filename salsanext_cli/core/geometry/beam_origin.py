@@ -179,12 +179,15 @@ def sharpness_of_comb(points: Double, position: Double) -> float:
         y = points[3 * i + 1] - position[1]
         z = points[3 * i + 2] - position[2]
         elevation = arctan2(z, math.sqrt(x * x + y * y)) * (180 / math.pi)
-        bins[i] = np.int32((elevation + 90) / BIN_DEG)
+        # A point that is not finite has no bin.
+        is_finite = x * x + y * y + z * z < np.inf
+        bins[i] = np.int32((elevation + 90) / BIN_DEG) if is_finite else -1
     # Empty bins at both ends, so that each bin has as many on either side
     margin = COARSE_BINS // 2 + 1
     histogram = np.zeros(BINS + 2 * margin, np.int64)
     for i in range(count):
-        histogram[bins[i] + margin] += 1
+        if bins[i] >= 0:
+            histogram[bins[i] + margin] += 1
     fine = 0
     coarse = 0
     fine_squares = 0

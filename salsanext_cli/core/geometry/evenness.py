@@ -167,7 +167,8 @@ def mean_evenness(points: Double, position: Double, offsets: Double) -> float:
         flat = math.sqrt(x * x + y * y)
         around[i] = arctan2(y, x) * (180 / math.pi) + 180
         upwards[i] = arctan2(z, flat) * (180 / math.pi) + 90
-        is_far[i] = math.sqrt(x * x + y * y + z * z) > VEHICLE_M
+        # A point that is not finite has no cell.
+        is_far[i] = VEHICLE_M < math.sqrt(x * x + y * y + z * z) < np.inf
     far_count = is_far.sum()
     counts = np.empty(COLUMNS * ROWS, np.int32)
     total = 0.0
@@ -175,10 +176,11 @@ def mean_evenness(points: Double, position: Double, offsets: Double) -> float:
         counts[:] = 0
         squares = 0  # Sum over the cells
         for i in range(count):
-            cell = int(around[i] + offset) * ROWS + int(upwards[i] + offset)
-            # (n + 1)² is n² + 2 n + 1.
-            squares += (2 * counts[cell] + 1) * is_far[i]
-            counts[cell] += is_far[i]
+            if is_far[i]:
+                cell = int(around[i] + offset) * ROWS + int(upwards[i] + offset)
+                # (n + 1)² is n² + 2 n + 1.
+                squares += 2 * counts[cell] + 1
+                counts[cell] += 1
         points_beside = max(squares, 1) / max(far_count, 1)
         total += far_count / max(count, 1) / points_beside
     return total / len(offsets)

@@ -9,22 +9,35 @@ from street_scans import street
 
 from salsanext_cli.core.geometry.evenness import evenness, is_even_fan, is_fan
 
+OFFSETS = [0.0, 0.3, 0.75]
+NOT_FINITE = [[np.nan, 1, 1], [1, np.nan, 1], [30, 1, np.nan], [np.inf, 1, 1], [-np.inf, np.inf, 0]]
 
-def test_evenness_by_a_plain_loop():
-    random = np.random.default_rng(0)
-    points = random.normal(size=(400, 3)) * 10
-    place = np.array([1.0, 2.0, 0.5])
+
+def evenness_by_a_loop(points, place, offset):
+    """Return the evenness of points; those that are not finite count as near ones."""
     counts: dict[tuple[int, int], int] = {}
     far = 0
     for x, y, z in points - place:
-        if math.sqrt(x * x + y * y + z * z) <= 3:
+        distance = math.sqrt(x * x + y * y + z * z)
+        if not 3 < distance < math.inf:
             continue
         far += 1
-        around = math.floor(math.degrees(math.atan2(y, x)) + 180)
-        upwards = math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) + 90)
+        around = math.floor(math.degrees(math.atan2(y, x)) + 180 + offset)
+        upwards = math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) + 90 + offset)
         counts[around, upwards] = counts.get((around, upwards), 0) + 1
-    expected = far * far / sum(count * count for count in counts.values()) / len(points)
-    assert evenness(points, place) == pytest.approx(expected)
+    return far * far / sum(count * count for count in counts.values()) / len(points)
+
+
+@pytest.mark.parametrize("others", [[], NOT_FINITE])
+def test_evenness_by_a_plain_loop(others):
+    random = np.random.default_rng(0)
+    points = random.normal(size=(2000, 3)) * [10, 10, 3]
+    points = np.concatenate([points, np.reshape(others, (-1, 3))])
+    place = np.array([1.0, 2.0, 0.5])
+    expected = [evenness_by_a_loop(points, place, offset) for offset in OFFSETS]
+    assert len({*expected}) == len(OFFSETS), "the offsets matter"
+    assert evenness(points, place) == pytest.approx(expected[0])
+    assert evenness(points, place, OFFSETS) == pytest.approx(np.mean(expected))
 
 
 def test_a_fan_is_even_from_its_tip_only():
