@@ -3,6 +3,8 @@
 
 import tomllib
 from collections.abc import Iterable
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +51,15 @@ def read_yaml(path: Path, expected: str) -> Any:
     """Read plain values from a YAML file; references (``*name``) are refused."""
     text = _text(path, MAX_YAML_BYTES, expected)
     try:
-        return yaml.load(text, _PlainLoader)
+        return deepcopy(_plain_values(text))
     except YAML_ERRORS as error:
         raise UsageError(path, error_text(error), expected) from error
+
+
+@lru_cache(maxsize=4)
+def _plain_values(text: str) -> Any:
+    """Return the values of a text in YAML, which a command reads in several of its steps."""
+    return yaml.load(text, _PlainLoader)
 
 
 def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:

@@ -40,6 +40,16 @@ def test_plain_values_are_read(tmp_path):
     assert read_toml(path, "sensor", ()) == {"a": 1, "b": [2.5]}
 
 
+def test_each_caller_gets_values_of_its_own(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"a: [1]\n")
+    first = read_yaml(path, "a mapping")
+    first["a"].append(2)
+    assert read_yaml(path, "a mapping") == {"a": [1]}
+    path.write_bytes(b"a: [3]\n")
+    assert read_yaml(path, "a mapping") == {"a": [3]}
+
+
 @pytest.mark.parametrize("what", BAD_YAML)
 def test_other_yaml_is_refused(what, tmp_path):
     path = tmp_path / "labels.yaml"
