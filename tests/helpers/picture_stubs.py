@@ -16,6 +16,7 @@ OF_RESULTS = (
     (labelled_scans, "iou_picture"),
     (plots, "reliability_diagram"),
     (plots, "risk_coverage"),
+    (run_changes, "_score_picture"),
     (run_changes, "scan_picture"),
     (scan_pictures, "_draw_from_above"),
 )

@@ -49,12 +49,6 @@ def cloud(world, folder="las", stem="000000"):
     return laspy.read(world.result(folder, "08", stem))
 
 
-@pytest.fixture
-def predicted(world):
-    world.predict()
-    return world
-
-
 def test_every_value_is_a_dimension_and_the_classification_has_codes(predicted):
     assert export_las(predicted.out).done == 3
     las = cloud(predicted)

@@ -26,7 +26,8 @@ from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, presets, recipe
 from salsanext_cli.training.setup import Setup
 
-TINY = Recipe(epochs=2, batch=2, samples_per_epoch=6, crop_width=32, mix=0.5, paste=0.5)
+TINY = Recipe(epochs=2, batch=2, samples_per_epoch=4, crop_width=32, mix=0.5, paste=0.5)
+ONCE = TINY.with_changes(epochs=1)
 
 pytestmark = pytest.mark.usefixtures("tiny_training")
 
@@ -85,7 +86,7 @@ class StoppedError(Exception):
     """What stops a training in its midst."""
 
 
-@pytest.mark.parametrize("stop", [1, 4])
+@pytest.mark.parametrize("stop", [1, 3])
 def test_an_interrupted_training_ends_with_the_same_weights(dataset, tmp_path, monkeypatch, stop):
     monkeypatch.setattr(fit, "SAVE_INTERVAL_S", -1.0)
 
@@ -106,25 +107,25 @@ def test_an_interrupted_training_ends_with_the_same_weights(dataset, tmp_path, m
 
 def test_another_kind_of_samples_is_refused(dataset: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    go(dataset, run, samples="auto")
+    go(dataset, run, ONCE, samples="auto")
     assert recorded(run) == "workers"
     with refused(OutputError, run / "train.json"):
-        go(dataset, run)
-    go(dataset, run, overwrite=True)
+        go(dataset, run, ONCE)
+    go(dataset, run, ONCE, overwrite=True)
     assert recorded(run) == "device"
     with refused(OutputError, run / "train.json"):
-        go(dataset, run, samples="workers")
+        go(dataset, run, ONCE, samples="workers")
 
 
 def test_a_training_of_an_older_version_has_samples_of_workers(dataset, tmp_path):
     run = tmp_path / "run"
-    go(dataset, run, samples="workers")
+    go(dataset, run, ONCE, samples="workers")
     record = json.loads((run / "train.json").read_text())
     del record["settings"]["samples"]
     (run / "train.json").write_text(json.dumps(record))
-    go(dataset, run, samples="auto")
+    go(dataset, run, ONCE, samples="auto")
     with refused(OutputError, run / "train.json"):
-        go(dataset, run)
+        go(dataset, run, ONCE)
 
 
 @pytest.mark.usefixtures("one_step_fits")

@@ -51,7 +51,7 @@ from salsanext_cli.training.scoring.validation import validate
 from salsanext_cli.training.setup import Setup
 
 TINY = Recipe(
-    epochs=3,
+    epochs=2,
     batch=2,
     crop_width=32,
     optimiser="adamw",
@@ -106,9 +106,9 @@ def test_a_run_folder_holds_weights_log_and_recipe(dataset, tmp_path):
     assert recipe(run / "recipe.toml") == TINY
     assert len((run / "log.csv").read_text().splitlines()) == 1 + TINY.epochs
     # Three scans in batches of two: the second batch of an epoch goes on with the next round.
-    assert [report.step for report in reports] == list(range(1, 7))
-    assert [report.row is not None for report in reports] == [False, True] * 3
-    assert [report.epoch for report in reports] == [1, 1, 2, 2, 3, 3]
+    assert [report.step for report in reports] == list(range(1, 5))
+    assert [report.row is not None for report in reports] == [False, True] * 2
+    assert [report.epoch for report in reports] == [1, 1, 2, 2]
     assert result.best_miou == max(row["miou"] for row in result.rows)
     card = read_card(run / "best.safetensors")
     assert card.recipe == TINY.to_dict()
@@ -258,7 +258,7 @@ def test_another_recipe_is_refused_and_overwrite_starts_again(dataset, tmp_path)
     run, fewer = tmp_path / "run", TINY.with_changes(epochs=1)
     go(dataset, run)
     error = refused(OutputError, run / "train.json", dataset, run, recipe=fewer)
-    assert "recipe.epochs was 3 and is 1" in str(error)
+    assert "recipe.epochs was 2 and is 1" in str(error)
     again = go(dataset, run, recipe=fewer, overwrite=True)
     assert len(again.rows) == 1
     assert same(again.last, go(dataset, tmp_path / "other", recipe=fewer).last)
@@ -324,10 +324,10 @@ def test_more_epochs_give_the_weights_of_an_uninterrupted_training(dataset, tmp_
     caplog.clear()
     parts = go(dataset, run, recipe=steady, progress=lambda report: steps.append(report.step))
     assert steps[0] == 3
-    assert "resuming after 1 of 3 epochs, step 2, from" in caplog.text
+    assert "resuming after 1 of 2 epochs, step 2, from" in caplog.text
     assert "random" not in caplog.text
     require_same(go(dataset, tmp_path / "whole", recipe=steady), parts)
-    fewer = steady.with_changes(epochs=2)
+    fewer = steady.with_changes(epochs=1)
     refused(OutputError, run / "train.json", dataset, run, recipe=fewer)
 
 

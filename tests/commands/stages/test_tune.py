@@ -5,6 +5,7 @@ import logging
 import math
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from calls import calls_of
 from command_line import python
 from safetensors.torch import load_file
 from scans import SMALL, refused, write_sequence, write_weights
+from shallow_network import SHALLOW
 
 from salsanext_cli import (
     label_space,
@@ -34,6 +36,8 @@ from salsanext_cli.core.errors import (
 )
 from salsanext_cli.core.network.card import scan_digest
 from salsanext_cli.core.network.dropout import dropouts
+from salsanext_cli.core.network.registry import ARCHITECTURES
+from salsanext_cli.core.network.salsanext import SalsaNext
 from salsanext_cli.core.uncertainty.aleatoric import aleatoric
 from salsanext_cli.core.uncertainty.monte_carlo import scan_seed
 from salsanext_cli.io.weights.card_file import read_card
@@ -359,12 +363,16 @@ def test_weights_without_dropout_get_the_layers_of_the_paper(world, target, tmp_
         ([0.0, 9.0, 1.0, 9.0] + [9.0, 0.0, 1.0, 9.0], 0.2, ""),
     ],
 )
-def test_the_end_of_the_range_warns(world, target, caplog, monkeypatch, objectives, best, warning):
+def test_the_end_of_the_range_warns(
+    world, target, tmp_path, caplog, monkeypatch, objectives, best, warning
+):
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", partial(SalsaNext, **SHALLOW))
+    settings = replace(world.network, weights=write_weights(tmp_path / "shallow.safetensors"))
     values = iter(objectives)
     module = "salsanext_cli.training.tuning.dropout_rate"
     monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
     with caplog.at_level(logging.WARNING):
-        tuned = go(world, target, "dropout", selection=ScanSelection(split="valid"))
+        tuned = go(world, target, "dropout", settings=settings, selection=VALID)
     assert tuned["best"] == pytest.approx(best)
     assert warning in caplog.text
     assert bool(caplog.text) == bool(warning)
