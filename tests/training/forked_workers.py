@@ -4,6 +4,7 @@
 As a program, this file starts groups of workers side by side, and prints their exit status.
 """
 
+import gc
 import importlib
 import json
 import os
@@ -83,6 +84,7 @@ def main() -> None:
 
     # Otherwise each worker that trains would import it, for seconds.
     importlib.import_module("torch._dynamo")
+    gc.freeze()  # A worker that ends need not search for garbage in what it shares.
     modules = {module.__name__: module for module in (failing_workers, two_workers)}
     folder = Path(sys.argv[1])
     groups = [Group(**fields) for fields in json.loads(sys.argv[2])]

@@ -63,11 +63,11 @@ def test_samples_are_windows_of_images_of_the_drawn_widths(files: list[ScanFile]
     recipe = PLAIN.with_changes(widths="32,64,64", crop_width=32)
     scan = read_bin(files[2].path)
     images = {w: normalise(project(scan, SMALL.resized(width=w)).channels, SMALL) for w in (32, 64)}
+    turned = [(w, np.roll(images[w], -start, 2)) for w in images for start in range(w)]
     drawn = Counter[int]()
     for position in range(60):
         window, truth = samples(files, recipe)[position, 2]
         assert window.shape[1:] == truth.shape == (SMALL.height, 32)
-        turned = [(w, np.roll(images[w], -start, 2)) for w in images for start in range(w)]
         drawn.update({w for w, image in turned if np.array_equal(image[:, :, :32], window)})
     assert drawn.total() == 60
     assert 10 <= drawn[32] <= 30

@@ -50,11 +50,12 @@ main()
 
 
 FORKS = """
-import json, os, signal, sys, typer
+import gc, json, os, signal, sys, typer
 from salsanext_cli.commands.line.output import console, interruption
 app = typer.Typer()
 app.command()(lambda: None)
 app([], standalone_mode=False)  # Imports what typer needs to build a command
+gc.freeze()  # A fork that ends need not search for garbage in what it shares
 for line in sys.stdin:
     request = json.loads(line)
     process = os.fork()
