@@ -11,6 +11,7 @@ from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.records import Origin, Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
 from salsanext_cli.io.formats.kitti_labels import encode_labels
+from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.report.picked import picked_cloud
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.annotation.scan_description import checked_sample
@@ -24,7 +25,6 @@ class PreLabel:
 
     scan: ScanFile
     content: bytes  # Of a label file
-    frame: Origin  # Of the written points in the coordinates of the file of the scan, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,10 @@ class PickJob:
     samples: int  # Passes of Monte-Carlo dropout
     data_set: PickedDataSet
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
-    # Of points in map coordinates, metres, in files beside the scans
-    frames: Mapping[ScanFile, Origin] = field(default_factory=dict)
+    # Frames in files beside the scans, metres
+    beside: Mapping[ScanFile, Origin] = field(default_factory=dict)
+    # Recorded frame of each picked scan, metres
+    recorded: Mapping[ScanFile, Origin] = field(default_factory=dict)
 
     def prepare(self, file: ScanFile) -> PreparedFile:
         """Read, check and project a scan."""
@@ -53,8 +55,9 @@ class PickJob:
         network = prepared.scan.network
         pixels = PixelPrediction.from_softmax(estimate.probabilities)
         labelled = refine_labels(prepared.scan, pixels, KnnParameters())
-        frame = self.data_set.write_points(file, network.sensor, self.frames)
+        recorded = self.recorded.get(file, NO_SHIFT)
+        self.data_set.write_points(file, network.sensor, self.beside, recorded)
         cloud = picked_cloud(labelled, estimate.uncertainty.mutual_information, network.space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
         raw = network.space.to_raw(labelled.labels)
-        return PreLabel(scan=file, content=encode_labels(raw), frame=frame)
+        return PreLabel(scan=file, content=encode_labels(raw))

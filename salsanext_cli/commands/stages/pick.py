@@ -32,6 +32,7 @@ from salsanext_cli.runs.annotation.picked_data_set import (
     PickSettings,
     UncertaintyScale,
 )
+from salsanext_cli.runs.annotation.picked_frames import frames_of_copies, origins_of, picked_frames
 from salsanext_cli.runs.annotation.scan_description import DescribeJob, ScanDescription
 from salsanext_cli.runs.annotation.tool_files import SensorPositions, require_places, write_for_tool
 from salsanext_cli.runs.loop.network_task import NetworkTask, sampling_task
@@ -129,27 +130,39 @@ def pick(
     by_poses = prepared.origins
     with data_set.open():
         record = _earlier(prepared, labelling_tool, options)
+        if record:
+            data_set.restore_frames(record)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
             _add_files_of_tool(prepared, labelling_tool, record)
             return _picking(record, scans)
-        frames = _frames(prepared, record)
+        beside = _frames(prepared, record)
         resolved = settings.resolved(network)
         origins = by_poses.scan_origins(scans, network.sensor)
         if record is None:
             describe = partial(DescribeJob, samples=SAMPLES, seed=seed, origins=origins)
             task = sampling_task(describe, resolved, network)
-            record = _chosen(task, prepared, options)
+            record = _chosen(task, prepared, beside, options)
             if not record.picked:
                 return _picking(record, scans)
             data_set.begin(record)
             # Another run goes on with this choice.
             _require_places(prepared, labelling_tool, record)
+        picked = prepared.files(record)
+        if record.frames is None:
+            frames = frames_of_copies(out, picked, network.sensor, beside)
+            record = data_set.record_frames(record, frames)
         write = partial(
-            PickJob, seed=seed, samples=SAMPLES, data_set=data_set, origins=origins, frames=frames
+            PickJob,
+            seed=seed,
+            samples=SAMPLES,
+            data_set=data_set,
+            origins=origins,
+            beside=beside,
+            recorded=origins_of(record.frames or {}, picked),
         )
         task = sampling_task(write, resolved, network)
-        outcome = _written(task, prepared, record, frames, options)
+        outcome = _written(task, prepared, record, options)
         _add_files_of_tool(prepared, labelling_tool, record)
     return replace(_picking(record, scans), outcome=outcome)
 
@@ -197,6 +210,8 @@ def plan_pick(
         names=names,
     )
     record = _earlier(prepared, labelling_tool, options)
+    if record is not None:
+        prepared.data_set.lost_frames(record)  # Refuses edited ones
     if record is None or not prepared.data_set.is_complete(record):
         _frames(prepared, record)  # Refuses damaged ones
     return PickPlan.from_prepared(prepared, record)
@@ -246,8 +261,16 @@ def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
     )
 
 
-def _chosen(task: NetworkTask, prepared: PreparedPick, options: RunOptions) -> PickRecord:
-    """Describe scans; choose uncertain ones that differ from each other and from labelled ones."""
+def _chosen(
+    task: NetworkTask,
+    prepared: PreparedPick,
+    beside: Mapping[ScanFile, Origin],
+    options: RunOptions,
+) -> PickRecord:
+    """Describe scans; choose uncertain ones that differ from each other and from labelled ones.
+
+    `beside`: frames in files beside the scans, metres.
+    """
     scans = prepared.scans
     network = prepared.network
     summary = RunSummary(sensor=network.sensor, scans=scans)
@@ -259,12 +282,16 @@ def _chosen(task: NetworkTask, prepared: PreparedPick, options: RunOptions) -> P
 
     failures = run_over_scans(task, scans, options, on_result=add).failures
     described = [descriptions[scan] for scan in scans if scan in descriptions]
+    picked = _picked(described, prepared.labelled, prepared.settings)
+    picked_names = {scan.name for scan in picked}
+    stated = {scan.file: scan.frame for scan in described if scan.file.name in picked_names}
     return PickRecord(
         settings=settings_json(prepared.settings),
-        picked=_picked(described, prepared.labelled, prepared.settings),
+        picked=picked,
         failures=[failure.to_dict() for failure in failures],
         warnings=summary.finished().warnings(),
         scale=_scale(described, network.space) if described else None,
+        frames=picked_frames(stated, beside),
     )
 
 
@@ -298,31 +325,20 @@ def _scale(described: Sequence[ScanDescription], space: LabelSpace) -> Uncertain
 
 
 def _written(
-    task: NetworkTask,
-    prepared: PreparedPick,
-    record: PickRecord,
-    beside: Mapping[ScanFile, Origin],
-    options: RunOptions,
+    task: NetworkTask, prepared: PreparedPick, record: PickRecord, options: RunOptions
 ) -> Outcome:
-    """Write the missing files of a data set of picked scans.
-
-    `beside`: frames in files beside the scans, metres.
-    """
+    """Write the missing files of a data set of picked scans."""
     data_set = prepared.data_set
     picked = prepared.files(record)
     pre_labels: dict[ScanFile, bytes] = {}
-    frames: dict[ScanFile, Origin] = {}
 
     def add(pre_label: PreLabel) -> None:
         pre_labels[pre_label.scan] = pre_label.content
-        frames[pre_label.scan] = pre_label.frame
 
     outcome = run_over_scans(task, picked, options, on_result=add)
-    # The data set is complete with its other files, so these come first.
-    record = data_set.write_frames(record, frames, beside)
     if len(pre_labels) == len(record.picked):
         # Existing files are not replaced, so incomplete poses would remain.
-        data_set.write_poses(frames)
+        data_set.write_poses(origins_of(record.frames or {}, picked))
     data_set.write_pre_labels(record, pre_labels)
     network_space = prepared.network.space
     is_same = prepared.space.fits(network_space)

@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.core.errors import FormatError, SalsanextError
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.records import Origin, Scan
-from salsanext_cli.io.files.json_files import read_json
-from salsanext_cli.io.files.reading import present
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import (
     FRAMES,
@@ -20,12 +18,10 @@ from salsanext_cli.io.frames import (
     read_frames,
     read_written_frames,
 )
+from salsanext_cli.runs.annotation.picked_frames import require_recorded_frames
 from salsanext_cli.runs.results.owned_folder import OwnedFolder, foreign_file
-from salsanext_cli.runs.scans.layouts import PICK_RECORD, SCAN_FOLDER
+from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile
-
-IN_MAP = "in_map"
-"""Key in the record of `pick` of the sequences with frames."""
 
 
 def frames_beside(scans: Iterable[ScanFile]) -> dict[ScanFile, Origin]:
@@ -36,7 +32,7 @@ def frames_beside(scans: Iterable[ScanFile]) -> dict[ScanFile, Origin]:
     Raises
     ------
     FormatError
-        If a file is damaged, or one that `pick` wrote is missing.
+        If a file is damaged, or lacks a frame that `pick` recorded.
     """
     listed = list(scans)
     frames = _frames_by_folder(listed)
@@ -86,7 +82,8 @@ def refuse_ignored_frames(scans: Iterable[ScanFile]) -> None:
     FormatError
         If another program wrote a file with the name of frames.
     """
-    for path in sorted(_frame_files(scans).values()):
+    for folder in _stems_by_folder(scans):
+        path = folder.with_name(FRAMES)
         if is_ignored(path):
             problem = "is not a file of frames, by which earlier results are in map coordinates"
             raise FormatError(path, problem, "frames", f"{HINT}; without them, move the file away")
@@ -124,16 +121,16 @@ class ChangedFrames:
     scans: list[ScanFile]  # Scans whose frame differs from the recorded one
 
 
-def add_frames(owned: OwnedFolder, frames: Mapping[ScanFile, Origin]) -> None:
-    """Write the frames of scans that were moved, beside those that are written already.
+def missing_frames(owned: OwnedFolder, frames: Mapping[ScanFile, Origin]) -> list[ChangedFrames]:
+    """Return the files of frames that lack scans that were moved, with what they contain already.
 
-    These stay, as the copies of their scans do. A file that the user edited is refused if it lacks
-    a frame.
+    Written frames stay, as the copies of their scans do. A file that the user edited is refused if
+    it lacks a frame.
     """
     moved = [scan for scan, frame in frames.items() if frame != NO_SHIFT]
     recorded = {path: read_written_frames(path) for path in {_path(owned, scan) for scan in moved}}
     added = [scan for scan in moved if scan.stem not in recorded[_path(owned, scan)]]
-    write_frames(owned, changed_frames(owned, added, frames))
+    return changed_frames(owned, added, frames)
 
 
 def changed_frames(
@@ -197,29 +194,19 @@ def _path(owned: OwnedFolder, scan: ScanFile) -> Path:
 
 
 def _frames_by_folder(scans: Iterable[ScanFile]) -> dict[Path, dict[str, Origin]]:
-    """Return the frames in the file of each folder of scans that has one, by stem."""
-    return {folder: read_frames(path) for folder, path in _frame_files(scans).items()}
+    """Return the frames in the file beside each folder of scans, by stem; none without a file."""
+    frames = {}
+    for folder, stems in _stems_by_folder(scans).items():
+        frames[folder] = read_frames(folder.with_name(FRAMES))
+        require_recorded_frames(folder, stems, frames[folder])
+    return frames
 
 
-def _frame_files(scans: Iterable[ScanFile]) -> dict[Path, Path]:
-    """Return the existing files of frames beside scans, by folder of scans."""
-    folders = {scan.path.parent for scan in scans if scan.path.parent.name == SCAN_FOLDER}
-    paths = {folder: folder.with_name(FRAMES) for folder in sorted(folders)}
-    existing = {folder: path for folder, path in paths.items() if present(path)}
-    for folder in paths.keys() - existing.keys():
-        _require_not_due(folder)
-    return existing
-
-
-def _require_not_due(folder: Path) -> None:
-    """Refuse a folder of picked scans without its frames: its points are not in the map."""
-    sequence = folder.parent
-    try:
-        record = read_json(sequence.parent.parent / PICK_RECORD)
-    except SalsanextError:
-        return  # Another program wrote the file.
-    in_map = record.get(IN_MAP) if record else None
-    if isinstance(in_map, dict) and sequence.name in in_map:
-        problem = "is missing, without which picked scans are not in map coordinates"
-        hint = "run `pick` again with the same settings, which writes it"
-        raise FormatError(folder.with_name(FRAMES), problem, "the frames of the scans", hint)
+def _stems_by_folder(scans: Iterable[ScanFile]) -> dict[Path, set[str]]:
+    """Return the stems of scans in folders that may have a file of frames beside them, sorted."""
+    stems: dict[Path, set[str]] = {}
+    for scan in scans:
+        folder = scan.path.parent
+        if folder.name == SCAN_FOLDER:
+            stems.setdefault(folder, set()).add(scan.stem)
+    return dict(sorted(stems.items()))

@@ -3,7 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -24,7 +24,18 @@ from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES
 from salsanext_cli.io.poses import line_numbers
 from salsanext_cli.runs.annotation.label_records import IMPORTED
-from salsanext_cli.runs.annotation.map_frames import add_frames, frame_of, refuse_lost_frames
+from salsanext_cli.runs.annotation.map_frames import (
+    ChangedFrames,
+    frame_of,
+    missing_frames,
+    refuse_lost_frames,
+    write_frames,
+)
+from salsanext_cli.runs.annotation.picked_frames import (
+    PickedFrames,
+    origins_of,
+    sequences_without_file,
+)
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import require_same_settings, settings_json
 from salsanext_cli.runs.results.output_paths import output_path
@@ -111,9 +122,7 @@ class PickRecord:
     warnings: list[ScanWarning]
     pre_labels: dict[str, str] = field(default_factory=dict)  # SHA-256 by name of the scan
     scale: UncertaintyScale | None = None  # None in records of earlier versions
-    # Sequences with frames, and whether a file beside their scans states one of them; None in
-    # records of earlier versions, and before the first file is complete
-    in_map: dict[str, bool] | None = None
+    frames: PickedFrames | None = None  # None in records of earlier versions
     stage: str = STAGE
     version: str = __version__
 
@@ -140,45 +149,61 @@ class PickedDataSet(OwnedFolder):
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
     def write_points(
-        self, file: ScanFile, sensor: Sensor, beside: Mapping[ScanFile, Origin]
-    ) -> Origin:
-        """Write a scan as `.bin`, with the intensity in its file; return the frame of its points.
-
-        The frame is a position in the coordinates of the map, in metres, also if the file was
-        moved out of them before. `beside`: frames by `frames_beside`.
-        """
-        scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
-        self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
-        return frame_of(file, scan, beside)
-
-    def write_frames(
-        self,
-        record: PickRecord,
-        frames: Mapping[ScanFile, Origin],
-        beside: Mapping[ScanFile, Origin],
-    ) -> PickRecord:
-        """Write the frames of picked scans; return the record that states which ones are due.
+        self, file: ScanFile, sensor: Sensor, beside: Mapping[ScanFile, Origin], recorded: Origin
+    ) -> None:
+        """Write a scan as `.bin`, with the intensity in its file.
 
         Parameters
         ----------
-        record : PickRecord
-            Record of the run.
-        frames : mapping of ScanFile to tuple of float
-            Frames of the points of picked scans, metres.
+        file : ScanFile
+            The scan.
+        sensor : Sensor
+            Its sensor.
         beside : mapping of ScanFile to tuple of float
             Frames by `frames_beside`, metres.
+        recorded : tuple of float
+            Frame of the scan in the record of the run, metres.
 
-        Returns
-        -------
-        PickRecord
+        Raises
+        ------
+        FormatError
+            If the scan has another frame now, so that its points would be elsewhere in the map.
         """
-        add_frames(self, frames)
-        in_map = dict(record.in_map or {})
-        for scan, frame in frames.items():
-            if frame != NO_SHIFT:
-                is_beside = beside.get(scan) == frame
-                in_map[scan.sequence] = is_beside or in_map.get(scan.sequence, False)
-        return replace(record, in_map=dict(sorted(in_map.items())))
+        scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
+        if frame_of(file, scan, beside) != recorded:
+            problem = "has another frame in map coordinates than when it was picked"
+            hint = f"restore the scan and its {FRAMES}, or pick into another folder"
+            raise FormatError(file.path, problem, hint=hint)
+        self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
+
+    def restore_frames(self, record: PickRecord) -> None:
+        """Write the recorded frames that `lost_frames` returns."""
+        write_frames(self, self.lost_frames(record))
+
+    def lost_frames(self, record: PickRecord) -> list[ChangedFrames]:
+        """Return the files beside the picked scans that lack recorded frames.
+
+        Raises
+        ------
+        OutputError
+            If the user edited such a file.
+        """
+        copies = [
+            ScanFile(
+                sequence=scan.sequence,
+                stem=scan.scan,
+                path=self.paths(scan.sequence, scan.scan).points,
+            )
+            for scan in record.picked
+        ]
+        return missing_frames(self, origins_of(record.frames or {}, copies))
+
+    def record_frames(self, record: PickRecord, frames: PickedFrames) -> PickRecord:
+        """Add the frames of picked scans to a record of an earlier version; return it."""
+        record = replace(record, frames=frames)
+        self._write_record(record)
+        self.restore_frames(record)
+        return record
 
     def write_pre_labels(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
         """Write the record with the pre-labels of scans, and those that are missing."""
@@ -238,8 +263,14 @@ class PickedDataSet(OwnedFolder):
                     self.write_missing(folder / CALIBRATION, file.read())
 
     def is_complete(self, record: PickRecord) -> bool:
-        """Return whether all files exist; poses and calibration may be unknown."""
-        return all(map(filled, [*self._certain_files(record), *self._files_of_frames(record)]))
+        """Return whether all files exist that `restore_frames` does not write.
+
+        Poses and calibration may be unknown.
+        """
+        files = self._certain_files(record)
+        if record.frames is None:
+            files += self._unrecorded_frames(record)
+        return all(map(filled, files))
 
     def refuse_lost_frames(self, scans: Iterable[ScanFile]) -> None:
         """Refuse scans whose earlier copies have frames of a file that is ignored now.
@@ -255,9 +286,9 @@ class PickedDataSet(OwnedFolder):
             If another program wrote a file with the name of frames.
         """
         record = self._record()
-        in_map = (record.in_map if record else None) or {}
-        # Scans that state their frames themselves need no file.
-        refuse_lost_frames(self, [scan for scan in scans if in_map.get(scan.sequence, True)])
+        frames = (record.frames if record else None) or {}
+        without_file = sequences_without_file(frames)
+        refuse_lost_frames(self, [scan for scan in scans if scan.sequence not in without_file])
 
     def require_apart(self, scans: Iterable[ScanFile]) -> None:
         """Raise `UsageError` if the folder holds the scans to choose from."""
@@ -279,13 +310,15 @@ class PickedDataSet(OwnedFolder):
         return record
 
     def begin(self, record: PickRecord) -> None:
-        """Record the picked scans; remove the files of an earlier run."""
+        """Record the picked scans, and write their frames; remove the files of an earlier run."""
         earlier = self._record()
         if earlier:
             # The user may have corrected labels in the meantime.
             self._require_unchanged(earlier)
             self.remove_written(self._files(earlier))
         self._write_record(record)
+        # Before their points, which are local ones without the frames.
+        self.restore_frames(record)
 
     def _record(self) -> PickRecord | None:
         data = read_json(self.record_path)
@@ -304,17 +337,12 @@ class PickedDataSet(OwnedFolder):
         files = [self.root / name for name in (LABEL_SPACE, TABLE)]
         return files + [p for s in record.picked for p in self.paths(s.sequence, s.scan)]
 
-    def _files_of_frames(self, record: PickRecord) -> list[Path]:
-        """Return the files of frames that a complete data set has."""
+    def _unrecorded_frames(self, record: PickRecord) -> list[Path]:
+        """Return the files of frames that an earlier version wrote."""
         sequences = {scan.sequence for scan in record.picked}
-        paths = {name: self.root / "sequences" / name / FRAMES for name in sorted(sequences)}
-        in_map: Collection[str]
-        if record.in_map is not None:
-            in_map = record.in_map
-        else:
-            written = self.states()
-            in_map = [name for name, path in paths.items() if path in written]
-        return [path for name, path in paths.items() if name in in_map or present(path)]
+        paths = [self.root / "sequences" / name / FRAMES for name in sorted(sequences)]
+        written = self.states()
+        return [path for path in paths if path in written or present(path)]
 
     def _files(self, record: PickRecord) -> list[Path]:
         folders = sorted({self.root / "sequences" / scan.sequence for scan in record.picked})

@@ -12,7 +12,7 @@ from salsanext_cli.core.engines.network import Network
 from salsanext_cli.core.errors import FormatError
 from salsanext_cli.core.labelling import PreparedScan
 from salsanext_cli.core.network.segmentation import SegmentationNetwork
-from salsanext_cli.core.records import Double, Float, Origins
+from salsanext_cli.core.records import Double, Float, Origin, Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate, sample
 from salsanext_cli.runs.fit.scan_reading import PreparedFile, read_prepared
 from salsanext_cli.runs.scans.scan_file import ScanFile
@@ -26,6 +26,7 @@ class ScanDescription:
     features: Double  # (D,) float64: input of the last layer, without dropout; 32 in SalsaNext
     uncertainty: float  # Mutual information of label and weights in nats
     check: ScanCheck  # Reasons to doubt the scan
+    frame: Origin  # Of its points, as its file states it, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,11 @@ class DescribeJob:
         prepared.scan.network.backend.require_finite(features, projected.source)
         mean = float(information[occupied].mean(dtype=np.float64))
         return ScanDescription(
-            file=prepared.file, features=features, uncertainty=mean, check=projected.check
+            file=prepared.file,
+            features=features,
+            uncertainty=mean,
+            check=projected.check,
+            frame=projected.scan.notes.frame,
         )
 
 

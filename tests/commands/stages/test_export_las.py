@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """LAS clouds of labelled scans, opened again by laspy."""
 
+import json
+
 import numpy as np
 import pytest
 import yaml
@@ -129,16 +131,24 @@ def test_clouds_without_a_frame_are_written_again_once_it_is_known(predicted):
 def test_picked_scans_without_their_frames_are_refused(predicted):
     """Their points are local, and belong into a map."""
     record = predicted.data / "pick.json"
+    frame = (690_000.0, 5_330_000.0, 0.0)
+    recorded = {"08/000000": {"origin": frame, "is_beside": True}, "08/000001": None}
+    record.write_text(json.dumps({"stage": "pick", "frames": recorded}))
     path = predicted.scan().parent.with_name(FRAMES)
-    record.write_text('{"stage": "pick", "in_map": {"08": true}}')
-    caught = refused(FormatError, path, export_las, predicted.out)
-    assert "`pick` again" in caught.value.hint
-    path.write_bytes(encode_frames({"000000": (690_000.0, 5_330_000.0, 0.0)}))
+    for content in (None, "{}", "[]", '{"000001": [1, 2, 3]}'):
+        if content is not None:
+            path.write_text(content)
+        caught = refused(FormatError, path, export_las, predicted.out)
+        assert "`pick` again" in caught.value.hint
+    path.write_bytes(encode_frames({"000000": frame}))
     assert export_las(predicted.out).done == 3
+    local = read_scan(predicted.scan()).points
+    np.testing.assert_allclose(cloud(predicted).xyz, local + np.array(frame), atol=1e-4, rtol=0)
     path.unlink()
-    for content in ("[]", "no record", '{"in_map": null}'):  # Also of other programs
+    for content in ("[]", "no record", '{"frames": 3}', '{"stage": "pick"}'):  # Also of others
         record.write_text(content)
-        assert not export_las(predicted.out).failures
+        export_las(predicted.out, options=RunOptions(overwrite=True))
+        np.testing.assert_allclose(cloud(predicted).xyz, local, atol=1e-4, rtol=0)
 
 
 def test_a_file_of_another_program_does_not_make_clouds_outdated(predicted):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from calls import calls_of
+from las_files import write_las
 from scans import SMALL, files_below, make_scan, refused, write_sequence, write_weights
 from shallow_network import shallow  # noqa: F401
 from world import Stored
@@ -33,7 +34,7 @@ from salsanext_cli.core.errors import (
 from salsanext_cli.core.measures.scan_choice import choose_scans
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
-from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
+from salsanext_cli.runs.annotation.map_frames import frames_beside, missing_frames, write_frames
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.annotation.scan_description import DescribeJob
 from salsanext_cli.runs.loop.pipeline import Pipeline
@@ -290,27 +291,62 @@ def test_unreadable_scans_are_named_each_time_and_the_others_picked(drive):
     assert found.to_dict()["failures"][0]["code"] == "format"
 
 
-def test_frames_are_written_although_a_scan_fails(drive, monkeypatch):
-    write, stems = PickedDataSet.write_points, []
-
-    def write_moved(self, file, sensor, beside):
-        stems.append(file.stem)
-        if len(stems) == 1:
-            raise FormatError(file.path, "is damaged", "a scan")
-        write(self, file, sensor, beside)
-        return (10_000.0, 0.0, 0.0)
-
-    monkeypatch.setattr(PickedDataSet, "write_points", write_moved)
-    with calls_of(frames_beside) as readings:
-        assert len(run(drive).outcome.failures) == 1
-    assert len(readings) == 1, "the frames of all scans are read together"
-    frames = drive.out / "sequences/08/frames.json"
-    assert read_frames(frames) == dict.fromkeys(stems[1:], (10_000.0, 0.0, 0.0))
-    assert run(drive).outcome.failures == ()
-    assert [*read_frames(frames)] == sorted(stems[:3])
-
-
 FRAME = (690_000.0, 5_330_000.0, 0.0)
+OTHER_FRAME = (680_000.0, 5_330_000.0, 0.0)
+
+
+@pytest.fixture
+def two_in_map(drive):
+    """Return the world with two scans, whose frames are beside them."""
+    for scan in find_scans(drive.data)[2:]:
+        scan.path.unlink()
+    frames = {"000000": FRAME, "000010": OTHER_FRAME}
+    (drive.data / "sequences/08" / FRAMES).write_bytes(encode_frames(frames))
+    return drive
+
+
+def interrupted(monkeypatch, world):
+    """Interrupt a pick after it has written the points of a scan."""
+    write = PickedDataSet.write_points
+
+    def write_one(self, *arguments):
+        write(self, *arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PickedDataSet, "write_points", write_one)
+        with pytest.raises(KeyboardInterrupt):
+            run(world)
+
+
+def test_an_interrupted_pick_has_the_frames_of_its_points(two_in_map, monkeypatch):
+    interrupted(monkeypatch, two_in_map)
+    written = find_scans(two_in_map.out)
+    assert len(written) == 1
+    frames = two_in_map.out / "sequences/08" / FRAMES
+    every = {"000000": FRAME, "000010": OTHER_FRAME}
+    assert read_frames(frames) == every
+    frames.unlink()
+    refused(FormatError, frames, frames_beside, written)
+    assert run(two_in_map).outcome.done == 2
+    assert read_frames(frames) == every
+
+
+def test_a_scan_that_fails_has_its_frame_once_it_is_written(two_in_map, monkeypatch):
+    write, failed = PickedDataSet.write_points, []
+
+    def write_second(self, file, *arguments):
+        if not failed:
+            failed.append(file)
+            raise FormatError(file.path, "is damaged", "a scan")
+        write(self, file, *arguments)
+
+    monkeypatch.setattr(PickedDataSet, "write_points", write_second)
+    with calls_of(frames_beside) as readings:
+        assert len(run(two_in_map).outcome.failures) == 1
+    assert len(readings) == 1, "the frames of all scans are read together"
+    assert run(two_in_map).outcome.failures == ()
+    assert len(frames_beside(find_scans(two_in_map.out))) == 2
 
 
 def run_in_map(world, **how):
@@ -326,24 +362,69 @@ def in_map(drive):
     return drive
 
 
-@pytest.mark.parametrize("has_new_record", [True, False])
-def test_frames_that_are_lost_are_written_again(in_map, has_new_record):
+def test_frames_that_are_lost_are_written_again(in_map):
     """Without them, the next stages would take points in map coordinates for local ones."""
     written = in_map.out / "sequences/08" / FRAMES
     expected = written.read_bytes()
     assert read_frames(written) == {"000010": FRAME}
-    record = in_map.out / "pick.json"
-    for lose in (lambda: written.write_bytes(b""), written.unlink):  # As a power cut, and a user
-        lose()
+    # Those beside the scans are not needed, and may have changed or gone in the meantime.
+    beside = in_map.data / "sequences/08" / FRAMES
+    beside.write_bytes(encode_frames({"000010": OTHER_FRAME}))
+    for lose in (lambda: written.write_bytes(b""), written.unlink, beside.unlink):
+        lose()  # As a power cut, and a user
+        written.unlink(missing_ok=True)
         # The points alone would be local ones.
         refused(FormatError, written, frames_beside, find_scans(in_map.out))
-        if not has_new_record:
-            content = json.loads(record.read_text())
-            record.write_text(json.dumps(content | {"in_map": None}))
-        assert run_in_map(in_map).outcome.done == 1
+        assert run_in_map(in_map).outcome.skipped == 1
         assert written.read_bytes() == expected
-        assert json.loads(record.read_text())["in_map"] == {"08": True}
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", '{"000000": [1, 2, 3]}'])
+def test_frames_without_that_of_a_picked_scan_are_refused(in_map, content):
+    written = in_map.out / "sequences/08" / FRAMES
+    written.write_text(content)
+    refused(FormatError, written, frames_beside, find_scans(in_map.out))
+    # A person wrote it.
+    refused(OutputError, written, run_in_map, in_map)
+    how = {"settings": in_map.network, "count": 1}
+    refused(OutputError, written, plan_pick, in_map.scan("08", "000010"), in_map.out, **how)
+    assert written.read_text() == content
+
+
+def test_a_scan_whose_frame_has_changed_is_not_mixed_with_earlier_ones(in_map):
+    beside = in_map.data / "sequences/08" / FRAMES
+    written = in_map.out / "sequences/08" / FRAMES
+    points = in_map.out / "sequences/08/velodyne/000010.bin"
+    before = points.read_bytes()
+    beside.write_bytes(encode_frames({"000010": OTHER_FRAME}))
+    points.unlink()
+    outcome = run_in_map(in_map).outcome
+    assert "another frame" in outcome.failures[0].reason
+    assert read_frames(written) == {"000010": FRAME}
+    assert not points.exists()
+    beside.write_bytes(encode_frames({"000010": FRAME}))
+    assert run_in_map(in_map).outcome.done == 1
+    assert points.read_bytes() == before
+
+
+def test_records_of_earlier_versions_get_the_frames(in_map):
+    record = in_map.out / "pick.json"
+    content = json.loads(record.read_text())
+    frames = content.pop("frames")
+    assert frames == {"08/000010": {"origin": list(FRAME), "is_beside": True}}
+    record.write_text(json.dumps(content))
     assert run_in_map(in_map).outcome.skipped == 1
+    written = in_map.out / "sequences/08" / FRAMES
+    written.unlink()
+    assert run_in_map(in_map).outcome.done == 1
+    assert read_frames(written) == {"000010": FRAME}
+    assert json.loads(record.read_text())["frames"] == frames
+    # Written frames are those of the points, also if the scans have others now.
+    record.write_text(json.dumps(content))
+    (in_map.out / "picked.csv").unlink()
+    (in_map.data / "sequences/08" / FRAMES).write_bytes(encode_frames({"000010": OTHER_FRAME}))
+    assert len(run_in_map(in_map).outcome.failures) == 1
+    assert json.loads(record.read_text())["frames"] == frames
 
 
 def test_a_complete_pick_reads_no_frames_beside_the_scans(in_map):
@@ -358,19 +439,18 @@ def test_a_complete_pick_reads_no_frames_beside_the_scans(in_map):
     refused(FormatError, beside, *planned, **how)
 
 
-def test_frames_in_the_scans_themselves_need_no_file_beside_them(drive, monkeypatch):
+def test_frames_in_the_scans_themselves_need_no_file_beside_them(drive):
     """As those of LAS files, beside which another program may have a file of this name."""
-    write = PickedDataSet.write_points
-
-    def write_in_map(self, file, sensor, beside):
-        write(self, file, sensor, beside)
-        return FRAME
-
-    monkeypatch.setattr(PickedDataSet, "write_points", write_in_map)
+    pytest.importorskip("laspy")
+    points = make_scan(1500).points + np.array(FRAME)
+    path = write_las(drive.scan("08", "000010").with_suffix(".las"), points, offsets=FRAME)
     (drive.data / "sequences/08" / FRAMES).write_text("[]")
     for overwrite in (False, True):
-        assert run_in_map(drive, overwrite=overwrite).outcome.done == 1
-    assert read_frames(drive.out / "sequences/08" / FRAMES) == {"000010": FRAME}
+        assert run(drive, path, count=1, overwrite=overwrite).outcome.done == 1
+    written = drive.out / "sequences/08" / FRAMES
+    assert read_frames(written) == {"000010": FRAME}
+    copied = drive.out / "sequences/08/velodyne/000010.bin"
+    assert np.abs(read_scan(copied).points + np.array(FRAME) - points).max() < 1e-3
 
 
 @pytest.mark.parametrize("out", ["a" * 300, "file/out"])
@@ -387,7 +467,8 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_network_is_read(
 @pytest.mark.parametrize("content", ['{"000000": [690000, 5330000, NaN]}', "[]"])
 def test_frames_that_are_damaged_or_gone_to_another_program_lose_no_picked_scans(picked, content):
     scans = find_scans(picked.data)
-    add_frames(PickedDataSet(picked.out), {scans[0]: FRAME})
+    data_set = PickedDataSet(picked.out)
+    write_frames(data_set, missing_frames(data_set, {scans[0]: FRAME}))
     path = picked.data / "sequences/08" / FRAMES
     path.write_text(content)
     before = files_below(picked.out)

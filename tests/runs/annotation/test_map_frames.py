@@ -11,11 +11,11 @@ from salsanext_cli.core.errors import FormatError, OutputError
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
 from salsanext_cli.runs.annotation.map_frames import (
-    add_frames,
     changed_frames,
     digest_of_frames,
     frame_of,
     frames_beside,
+    missing_frames,
     refuse_lost_frames,
     write_frames,
 )
@@ -57,6 +57,10 @@ def test_the_digest_is_that_of_whole_files(scans):
     assert digest_of_frames(scans[:2]) is None
     scans[3].path.parent.with_name(FRAMES).write_bytes(encode_frames({"000001": OTHER}))
     assert digest_of_frames(scans) not in (every, None)
+
+
+def add_frames(data_set, frames):
+    write_frames(data_set, missing_frames(data_set, frames))
 
 
 def test_frames_are_added_to_those_that_are_written(tmp_path):

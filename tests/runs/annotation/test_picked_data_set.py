@@ -4,12 +4,13 @@
 import numpy as np
 import pytest
 from las_files import write_las
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, refused, write_sequence
 
 from salsanext_cli import read_scan
+from salsanext_cli.core.errors import FormatError
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.io.frames import FRAMES, encode_frames, read_frames
-from salsanext_cli.runs.annotation.map_frames import add_frames, frames_beside
+from salsanext_cli.runs.annotation.map_frames import frames_beside, missing_frames, write_frames
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet, PickSettings
 from salsanext_cli.runs.records.stage_settings import ComputedSettings
 from salsanext_cli.runs.results.manifest import settings_json
@@ -43,8 +44,11 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     path.parents[1].joinpath("poses.txt").write_text("line\n")
     (scan,) = find_scans(tmp_path / "data")
     data_set = PickedDataSet(tmp_path / "out")
-    frame = data_set.write_points(scan, SMALL, {})
-    add_frames(data_set, {scan: frame})
+    frame = read_scan(path).notes.frame
+    assert frame != NO_SHIFT
+    refused(FormatError, path, data_set.write_points, scan, SMALL, {}, NO_SHIFT)
+    data_set.write_points(scan, SMALL, {}, frame)
+    write_frames(data_set, missing_frames(data_set, {scan: frame}))
     data_set.write_poses({scan: frame})
     sequence = tmp_path / "out/sequences/08"
     assert read_frames(sequence / "frames.json") == {"000003": frame}
@@ -54,16 +58,20 @@ def test_scans_in_a_map_have_the_frame_of_their_copies_and_no_poses(tmp_path, ca
     assert str(path.parents[1] / "poses.txt") in caplog.text
 
 
-def test_a_copy_of_a_scan_that_was_moved_has_the_frame_of_the_first_file(tmp_path):
-    """As `pick` of a data set of `convert` or `pick` has it."""
+def test_copies_of_scans_need_their_recorded_frame(tmp_path):
+    """Scans of `convert` or `pick` have it beside them."""
     folder = tmp_path / "data/sequences/08"
     write_sequence(folder, ("000000", "000001"), labels=False)
     frame = (500_000.0, 5_400_000.0, 0.0)
     (folder / FRAMES).write_bytes(encode_frames({"000001": frame}))
     data_set = PickedDataSet(tmp_path / "out")
-    scans = find_scans(tmp_path / "data")
-    found = [data_set.write_points(scan, SMALL, frames_beside(scans)) for scan in scans]
-    assert found == [NO_SHIFT, frame]
+    first, second = find_scans(tmp_path / "data")
+    beside = frames_beside([first, second])
+    refused(FormatError, first.path, data_set.write_points, first, SMALL, beside, frame)
+    refused(FormatError, second.path, data_set.write_points, second, SMALL, beside, NO_SHIFT)
+    data_set.write_points(first, SMALL, beside, NO_SHIFT)
+    data_set.write_points(second, SMALL, beside, frame)
+    assert len(find_scans(tmp_path / "out")) == 2
 
 
 def test_the_settings_are_one_table_with_those_of_the_network():
