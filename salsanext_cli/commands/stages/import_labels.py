@@ -25,7 +25,12 @@ from salsanext_cli.io.formats import FORMATS, format_of, read_scan
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.formats.label_scalars import LabelIds
 from salsanext_cli.io.formats.recordings import recording_of
-from salsanext_cli.runs.annotation.edited_files import find_edited, read_edited, scan_of_edited
+from salsanext_cli.runs.annotation.edited_files import (
+    find_edited,
+    has_coordinates,
+    read_edited,
+    scan_of_edited,
+)
 from salsanext_cli.runs.annotation.label_records import (
     ImportedScan,
     LabelImport,
@@ -86,7 +91,9 @@ def import_labels(
     records = {root: LabelRecords(root) for root in roots}
     meanings = LabelIds.from_space(space, ids)
     is_named = not is_folder(edited)
-    frames = frames_beside(edited_files)
+    frames = frames_beside(
+        scan for scan, paths in edited_files.items() if any(map(has_coordinates, paths))
+    )
     with ExitStack() as locks:
         for record in records.values():
             locks.enter_context(record.owned.open())

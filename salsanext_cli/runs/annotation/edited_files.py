@@ -34,7 +34,7 @@ from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_folders import counted_by_suffix
 
 LABEL_ARRAY = ".npy"  # Suffix of a file with one label per point and no coordinates
-LABEL_SUFFIXES = (".label", LABEL_ARRAY)  # In messages
+LABEL_SUFFIXES = (".label", LABEL_ARRAY)  # Files of labels alone, one per point
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are not in the scan
 ROUNDED_M = 0.05  # Below it, coordinates were probably rounded; other scans are farther away
 
@@ -60,6 +60,11 @@ def find_edited(source: Path) -> list[Path]:
         others = f", but {counted_by_suffix(files)}" if files else ""
         raise NoInputError(source, f"contains no labels{others}", expected)
     return edited
+
+
+def has_coordinates(path: Path) -> bool:
+    """Return whether an edited file may have points, not only labels in the order of the scan."""
+    return path.suffix.lower() not in LABEL_SUFFIXES
 
 
 def _is_edited(path: Path) -> bool:

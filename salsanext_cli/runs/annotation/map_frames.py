@@ -35,7 +35,9 @@ def frames_beside(scans: Iterable[ScanFile]) -> dict[ScanFile, Origin]:
         If a file is damaged, or lacks a frame that `pick` recorded.
     """
     listed = list(scans)
-    frames = _frames_by_folder(listed)
+    frames = _written_frames(listed)
+    for folder, stems in _stems_by_folder(listed).items():
+        require_recorded_frames(folder, stems, frames[folder])
     return {
         scan: frames[scan.path.parent][scan.stem]
         for scan in listed
@@ -61,9 +63,10 @@ def with_frame(file: ScanFile, scan: Scan, beside: Mapping[ScanFile, Origin]) ->
 def digest_of_frames(scans: Iterable[ScanFile]) -> str | None:
     """Return a digest of the files of frames beside scans; None without frames.
 
-    It is of whole files, so that runs on some of the scans have the same.
+    It is of whole files, so that runs on some of the scans have the same. A file that is missing
+    does not count: only the runs that need it refuse it.
     """
-    by_folder = _frames_by_folder(scans)
+    by_folder = _written_frames(scans)
     frames = {folder: members for folder, members in by_folder.items() if members}
     if not frames:
         return None
@@ -193,13 +196,9 @@ def _path(owned: OwnedFolder, scan: ScanFile) -> Path:
     return owned.root / "sequences" / scan.sequence / FRAMES
 
 
-def _frames_by_folder(scans: Iterable[ScanFile]) -> dict[Path, dict[str, Origin]]:
+def _written_frames(scans: Iterable[ScanFile]) -> dict[Path, dict[str, Origin]]:
     """Return the frames in the file beside each folder of scans, by stem; none without a file."""
-    frames = {}
-    for folder, stems in _stems_by_folder(scans).items():
-        frames[folder] = read_frames(folder.with_name(FRAMES))
-        require_recorded_frames(folder, stems, frames[folder])
-    return frames
+    return {folder: read_frames(folder.with_name(FRAMES)) for folder in _stems_by_folder(scans)}
 
 
 def _stems_by_folder(scans: Iterable[ScanFile]) -> dict[Path, set[str]]:

@@ -151,6 +151,17 @@ def test_picked_scans_without_their_frames_are_refused(predicted):
         np.testing.assert_allclose(cloud(predicted).xyz, local, atol=1e-4, rtol=0)
 
 
+def test_sequences_are_exported_although_another_one_has_lost_its_frames(predicted):
+    frame = {"origin": [690_000, 5_330_000, 0], "is_beside": True}
+    record = {"stage": "pick", "frames": {"08/000001": frame}}
+    (predicted.data / "pick.json").write_text(json.dumps(record))
+    first = ResultQuery(selection=ScanSelection(sequences=("00",)))
+    assert export_las(predicted.out, query=first).done == 1
+    second = ResultQuery(selection=ScanSelection(sequences=("08",)))
+    lost = predicted.scan().parent.with_name(FRAMES)
+    refused(FormatError, lost, export_las, predicted.out, query=second)
+
+
 def test_a_file_of_another_program_does_not_make_clouds_outdated(predicted):
     export_las(predicted.out)
     predicted.scan().parent.with_name(FRAMES).write_text("[]")

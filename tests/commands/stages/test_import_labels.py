@@ -14,7 +14,7 @@ from scans import files_below, make_scan, refused, write_sequence
 
 from salsanext_cli import LabelSpace, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.commands.stages.import_labels import import_labels
-from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.core.errors import FormatError, NoInputError
 from salsanext_cli.io.annotation_tools.registry import tool_named
 from salsanext_cli.io.formats.kitti_labels import encode_labels
 from salsanext_cli.io.formats.pcd_writing import encode_pcd
@@ -80,6 +80,19 @@ def test_clouds_in_map_coordinates_are_those_of_scans_with_a_frame_beside_them(w
             (world.edited / name).write_bytes(content)
     assert world.run().failures == []
     np.testing.assert_array_equal(world.labels(), labels)
+
+
+def test_files_of_labels_alone_need_no_frames(world):
+    path = world.data / "pick.json"
+    frames = {f"08/{STEMS[0]}": {"origin": UTM, "is_beside": True}}
+    record = {**json.loads(path.read_text()), "stage": "pick", "frames": frames}
+    path.write_text(json.dumps(record))
+    world.edited.mkdir()
+    write_labels(world.edited / f"{STEMS[0]}.label", world.truth[0])
+    assert len(world.run().scans) == 1
+    np.testing.assert_array_equal(world.labels(), world.truth[0])
+    world.write()
+    refused(FormatError, world.scans[0].path.parent.with_name(FRAMES), world.run)
 
 
 def only_failure(found):
