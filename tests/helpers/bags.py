@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,20 @@ def messages(points: Iterable[np.ndarray], topic: str = TOPIC) -> list[Message]:
     return [(topic, START + n * STEP, cloud(each)) for n, each in enumerate(points)]
 
 
+@cache
+def types_of_ros(version: int) -> Any:
+    """Return the types of a version of ROS and of drivers, which take longer than most bags."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_JAZZY)
+    for package in ("livox_ros_driver", "livox_ros_driver2"):
+        for name, definition in LIVOX.items():
+            store.register(get_types_from_msg(definition, f"{package}/msg/{name}"))
+    for name, definition in VELODYNE.items():
+        store.register(get_types_from_msg(definition, f"velodyne_msgs/msg/{name}"))
+    return store
+
+
 def write_bag(
     folder: Path, kind: str, written: Iterable[Message], *, compression: str = ""
 ) -> Path:
@@ -122,15 +137,9 @@ def write_bag(
     Returns the file, which for ROS 2 lies in a folder `drive`.
     """
     from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     is_ros1 = kind == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_JAZZY)
-    for package in ("livox_ros_driver", "livox_ros_driver2"):
-        for name, definition in LIVOX.items():
-            store.register(get_types_from_msg(definition, f"{package}/msg/{name}"))
-    for name, definition in VELODYNE.items():
-        store.register(get_types_from_msg(definition, f"velodyne_msgs/msg/{name}"))
+    store = types_of_ros(1 if is_ros1 else 2)
     writer: Any
     if is_ros1:
         folder.mkdir(parents=True, exist_ok=True)
