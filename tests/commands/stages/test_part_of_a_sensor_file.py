@@ -75,7 +75,8 @@ def test_the_hint_about_the_height_works_as_it_is_printed(lifted, weights, tmp_p
     for number, command in enumerate(("predict", "project", "uncertainty --samples 2")):
         name, *options = command.split()
         out = tmp_path / f"followed-{number}"
-        words = ("--weights", weights, *options, "--sensor", followed, "--json")
+        engine = () if name == "project" else ("--engine", "torch")
+        words = ("--weights", weights, *options, *engine, "--sensor", followed, "--json")
         assert codes(called(name, lifted, out, *words)) == set()
     assert codes(called("inspect", lifted, "--sensor", followed, "--json")) == set()
 

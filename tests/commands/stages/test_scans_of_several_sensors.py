@@ -56,9 +56,9 @@ def mixed(tmp_path):
     return tmp_path / "mixed"
 
 
-@pytest.fixture
-def network(tmp_path, weights):
-    file = write_weights(tmp_path / "w.safetensors", sensor=TRAINED)
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    file = write_weights(tmp_path_factory.mktemp("trained") / "w.safetensors", sensor=TRAINED)
     return NetworkSettings(file, engine="torch")
 
 

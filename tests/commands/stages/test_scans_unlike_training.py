@@ -40,12 +40,19 @@ def weights(tmp_path_factory):
     return write_weights(tmp_path_factory.mktemp("shallow") / "random.safetensors")
 
 
-@pytest.fixture
-def matched_world(world, tmp_path):
-    """Return the world with weights that state the intensity of their training."""
+@pytest.fixture(scope="module")
+def matched_weights(tmp_path_factory):
+    """Return weights that state the intensity of their training."""
     sensor = replace(SMALL, intensity_quantiles=TRAINED)
-    weights = write_weights(tmp_path / "with-intensity.safetensors", sensor=sensor)
-    return replace(world, network=replace(world.network, weights=weights, intensity="auto"))
+    folder = tmp_path_factory.mktemp("matched")
+    return write_weights(folder / "with-intensity.safetensors", sensor=sensor)
+
+
+@pytest.fixture
+def matched_world(world, matched_weights):
+    """Return the world with such weights."""
+    network = replace(world.network, weights=matched_weights, intensity="auto")
+    return replace(world, network=network)
 
 
 def run(world, out=None, source=None, **options):

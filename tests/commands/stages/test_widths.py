@@ -131,7 +131,8 @@ def test_projected_images_of_a_width_are_labelled_at_that_width(mixed):
     sensor = network.named_sensor()
     project_scans(mixed.data, mixed.out, sensor=sensor, fit=True)
     assert projected_sensor(mixed.out).width == NARROW
-    refused(UsageError, mixed.out, predict_range_images, mixed.out, mixed.out)
+    wide = at(mixed, WIDE).network
+    refused(UsageError, mixed.out, predict_range_images, mixed.out, mixed.out, settings=wide)
     predict_range_images(mixed.out, mixed.out, settings=network)
     assert np.load(mixed.result("pixel_labels")).shape == (SMALL.height, NARROW)
 
