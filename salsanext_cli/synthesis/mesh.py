@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
     + [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
 )
+TO_X = np.array([1.0, 0.0, 0.0])
+TO_Z = np.array([0.0, 0.0, 1.0])
 
 
 class Skin(NamedTuple):
@@ -105,21 +108,35 @@ def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:
 def faces(corners: Array, skin: Skin) -> Mesh:
     """Return flat polygons with corners (Q, P, 3) in cyclic order, as fans around the first."""
     count, sides = corners.shape[:2]
-    fan = np.array([[0, k, k + 1] for k in range(1, sides - 1)])
-    triangles = np.arange(count)[:, None, None] * sides + fan
+    triangles = np.arange(count)[:, None, None] * sides + _fan(sides)
     return Mesh.uniform(corners.reshape(-1, 3), triangles.reshape(-1, 3), skin)
+
+
+@cache
+def _fan(sides: int) -> npt.NDArray[np.int64]:
+    """Return the triangles (T, 3) of a polygon around its first corner."""
+    return np.array([[0, k, k + 1] for k in range(1, sides - 1)])
 
 
 def loft(sections: Array, skin: Skin) -> Mesh:
     """Join consecutive closed rings, sections (S, P, 3), by quadrangles."""
-    index = np.arange(sections.size // 3).reshape(sections.shape[:2])
+    rings, sides = sections.shape[:2]
+    return Mesh.uniform(sections.reshape(-1, 3), _quadrangles(rings, sides), skin)
+
+
+@cache
+def _quadrangles(rings: int, sides: int) -> npt.NDArray[np.int64]:
+    """Return the triangles (T, 3) between consecutive closed rings, which many objects share."""
+    index = np.arange(rings * sides).reshape(rings, sides)
     following = np.roll(index, -1, 1)
     a = index[:-1]
     b = following[:-1]
     c = following[1:]
     d = index[1:]
-    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
-    return Mesh.uniform(sections.reshape(-1, 3), faces, skin)
+    triangles = [np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))]
+    joined: npt.NDArray[np.int64] = np.concatenate(triangles)
+    joined.flags.writeable = False
+    return joined
 
 
 def extrusion(stations: Array, sections: Array, skin: Skin) -> Mesh:
@@ -132,34 +149,65 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) 
     """Return a tube along a path (K, 3) with one radius or one per point."""
     points = np.asarray(path, float)
     radius = np.broadcast_to(radii, len(points))
-    along = np.gradient(points, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    steepest = np.where(np.abs(along[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    across = _cross(along, steepest)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = _normalised(_gradient(points))
+    steepest = np.where(np.abs(along[:, 2:]) > 0.9, TO_X, TO_Z)
+    across = _normalised(_cross(along, steepest))
     upward = _cross(along, across)
-    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    spread = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * upward[:, None]
+    cosines, sines = _circle(sides)
+    spread = cosines * across[:, None] + sines * upward[:, None]
     return loft(points[:, None] + radius[:, None, None] * spread, skin)
 
 
+@cache
+def _circle(sides: int) -> tuple[Array, Array]:
+    """Return the cosines and sines (P, 1) of evenly spaced angles, from 0."""
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)[:, None]
+    return np.cos(angle), np.sin(angle)
+
+
+# `numpy` has these functions for arrays of any shape: for a few points they take many times as long.
+def _gradient(points: Array) -> Array:
+    """Return the steps along a path (K, 3) at each of its points, as `numpy.gradient` does."""
+    steps = np.empty_like(points)
+    steps[0] = points[1] - points[0]
+    steps[-1] = points[-1] - points[-2]
+    steps[1:-1] = (points[2:] - points[:-2]) / 2
+    return steps
+
+
+def _normalised(vectors: Array) -> Array:
+    """Return vectors (K, 3) with their length divided out."""
+    lengths: Array = np.sqrt(np.add.reduce(vectors * vectors, axis=1, keepdims=True))
+    return vectors / lengths
+
+
 def _cross(a: Array, b: Array) -> Array:
-    """Return cross products of (K, 3) vectors, ten times as fast as `numpy.cross` for small K."""
+    """Return the cross products of vectors (K, 3)."""
     ax, ay, az = a.T
     bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+    product = np.empty_like(a)
+    product[:, 0] = ay * bz - az * by
+    product[:, 1] = az * bx - ax * bz
+    product[:, 2] = ax * by - ay * bx
+    return product
 
 
 def ellipsoid(
     centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | float = 0.0
 ) -> Mesh:
     """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative."""
+    lumps = _unit_sphere() * (1 + unevenness)
+    return loft(lumps * np.asarray(radii) + np.asarray(centre), skin)
+
+
+@cache
+def _unit_sphere() -> Array:
+    """Return a sphere of radius 1 as rings of points, (6, 8, 3)."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
     longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     x = np.cos(latitude) * np.cos(longitude)
     y = np.cos(latitude) * np.sin(longitude)
-    unit = np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1) * (1 + unevenness)
-    return loft(unit * np.asarray(radii) + np.asarray(centre), skin)
+    return np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1)
 
 
 def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> Mesh:

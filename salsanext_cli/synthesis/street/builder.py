@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Street under construction: objects of varied brightness on a ground plan."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -77,7 +78,7 @@ class Builder:
         if (
             not radius <= s <= self.plan.length - radius
             or side.from_side_street(s) < radius
-            or any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken)
+            or any(math.hypot(s - a, t - b) < radius + r for a, b, r in self._taken)
         ):
             return False
         self._taken.append((s, t, radius))
