@@ -13,8 +13,8 @@ from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights import loading
 
-NARROW = {"context_width": 8, "widths": (8, 16, 32, 32, 32), "decoder_widths": (32, 32, 16, 16)}
-"""Few channels: a network of full size would take most of the time of a test."""
+NARROW = {"context_width": 8, "widths": (8, 16), "decoder_widths": (24,)}
+"""Two levels and few channels: a network of full size would take most of the time of a test."""
 narrow_salsanext = partial(salsanext_of, **NARROW)
 READ: dict[tuple[str, str], SegmentationNetwork] = {}
 """Networks by the SHA-256 of their file and device: to read one takes half of a short run."""

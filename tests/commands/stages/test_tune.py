@@ -13,7 +13,7 @@ import torch
 from calls import calls_of
 from command_line import python
 from safetensors.torch import load_file
-from scans import SMALL, refused, write_sequence, write_weights
+from scans import SMALL, refused, salsanext_of, write_sequence, write_weights
 from shallow_network import SHALLOW
 
 from salsanext_cli import (
@@ -342,13 +342,16 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
 
 
 def test_weights_without_dropout_get_the_layers_of_the_paper(world, target, tmp_path):
-    certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
-    settings = NetworkSettings(certain, "cpu", engine="torch")
-    once = {"selection": ScanSelection("valid", limit=1)}
-    tuned = go(world, target, "dropout", settings=settings, **once)
-    assert tuned["before"] == 0
-    assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
-    usual = go(world, target, "dropout", overwrite=True, **once)
+    weights = tmp_path / "w.safetensors"
+    settings = NetworkSettings(weights, "cpu", engine="torch")
+    once = {"selection": ScanSelection("valid", limit=1), "settings": settings}
+    with salsanext_of(widths=(8,) * 5, decoder_widths=(8,) * 4):
+        write_weights(weights, dropout=0.0)
+        tuned = go(world, target, "dropout", **once)
+        assert tuned["before"] == 0
+        assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
+        write_weights(weights)
+        usual = go(world, target, "dropout", overwrite=True, **once)
     usual["objectives"].pop(usual["rates"].index(0.2))
     assert tuned["objectives"] == usual["objectives"]
 
