@@ -13,7 +13,7 @@ from salsanext_cli.core.network.segmentation import SegmentationNetwork
 from salsanext_cli.io.files.reading import fingerprint
 from salsanext_cli.io.weights import loading
 
-NARROW = {"context_width": 8, "widths": (8, 16), "decoder_widths": (24,)}
+NARROW = {"context_width": 16, "widths": (8, 16), "decoder_widths": (16,)}
 """Two levels and few channels: a network of full size would take most of the time of a test."""
 narrow_salsanext = partial(salsanext_of, **NARROW)
 READ: dict[tuple[str, str], SegmentationNetwork] = {}
