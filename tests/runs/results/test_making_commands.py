@@ -32,6 +32,8 @@ from salsanext_cli.runs.results.provenance import Provenance
 from salsanext_cli.runs.scans.scan_search import find_scans
 
 PROBABILITIES = MakingCommand(stage="predict", extras=("probabilities",))
+FEW_SAMPLES = ("--samples", 2, "--aleatoric", "none")
+"""Options of `uncertainty`, whose other results take several times as long."""
 
 
 def words_of(making: MakingCommand, out, scans=(), **changes) -> list[str]:
@@ -71,7 +73,7 @@ def test_a_hint_names_no_more_than_the_scans_that_the_run_was_asked_for(world):
     weights = ("--weights", world.network.weights, "--engine", "torch")
     called("predict", world.data, world.out, "--limit", 4, *weights)
     words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(folder))
-    called(*words[1:], "--samples", 2)
+    called(*words[1:], *FEW_SAMPLES)
     names = [("00", "000000"), ("08", "000000"), ("08", "000001"), ("08", "000002")]
     assert [*find_outputs(world.out, "uncertainty/epistemic")] == names
 
@@ -85,7 +87,7 @@ def test_results_of_moved_scans_are_made_in_another_folder(world, tmp_path):
     missing = called("export-ply", world.out, *options, status=1)
     hint = re.search(r"^hint: run `salsanext (.+)`, then give (.+)$", missing.stderr, re.M)
     (target,) = shlex.split(hint[2])
-    called(*shlex.split(hint[1]), "--samples", 2)
+    called(*shlex.split(hint[1]), *FEW_SAMPLES)
     called("export-ply", target, *options)
     assert [*find_outputs(Path(target), "ply")] == [("00", "000000"), ("08", "000000")]
     # The same folder takes no results of scans that may be others of the same names.
@@ -124,7 +126,7 @@ def test_the_uncertainty_is_that_of_the_network_of_the_labels(run_with_options):
     world = run_with_options
     words = words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data))
     assert "--objects" not in words
-    called(*words[1:], "--samples", 2)
+    called(*words[1:], *FEW_SAMPLES)
     assert len(find_outputs(world.out, "uncertainty/epistemic")) == 3
 
 
@@ -191,7 +193,7 @@ def test_the_hint_of_fuse_can_be_followed_with_merged_classes(
     # Without poses of the scans, nothing can be fused.
     called(*(command[2] if word == "--fuse" else word for word in words))
     assert len(find_outputs(world.out, "probabilities")) == 3
-    called(*words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data))[1:], "--samples", 2)
+    called(*words_of(UNCERTAINTY_STAGE, world.out, find_scans(world.data))[1:], *FEW_SAMPLES)
     with spelled(CommandLine()):
         hint = hint_for_error(world.out, find_scans(world.data)[0])
     # Merged labels have no probability of error.
@@ -215,5 +217,5 @@ def test_a_hint_states_the_origin_as_it_was_typed(world, tmp_path):
         again = np.fromfile(other / path.relative_to(world.out), "<u4")
         assert np.array_equal(np.fromfile(path, "<u4"), again)
     # `uncertainty` takes the recorded sensor, and has no such option.
-    called(*words_of(UNCERTAINTY_STAGE, world.out, [file])[1:], "--samples", 2)
+    called(*words_of(UNCERTAINTY_STAGE, world.out, [file])[1:], *FEW_SAMPLES)
     assert Provenance(world.out).sensor() == recorded

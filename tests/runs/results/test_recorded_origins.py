@@ -231,7 +231,7 @@ def test_the_origin_of_each_scan_is_recorded(predicted_map, tmp_path):
         assert recorded_origin(tmp_path, file, sensor) is None
 
 
-@pytest.mark.usefixtures("workers_in_process")
+@pytest.mark.usefixtures("workers_in_process", "undrawn")
 def test_later_stages_search_no_origin(map_drive, predicted_map, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(predicted_map, out)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
-from command_line import only_json, parsed
+from command_line import logger_as_before, only_json, parsed
 from scans import SMALL, labels_below, refused, write_weights
 from typer.testing import CliRunner
 
@@ -231,5 +231,6 @@ def test_values_are_completed(line, expected):
         "COMP_WORDS": words,
         "COMP_CWORD": str(len(words.split()) - 1),
     }
-    result = CliRunner().invoke(app, [], env=environment, prog_name="salsanext")
+    with logger_as_before():
+        result = CliRunner().invoke(app, [], env=environment, prog_name="salsanext")
     assert result.stdout.split() == expected
