@@ -165,7 +165,7 @@ def _circle(sides: int) -> tuple[Array, Array]:
     return np.cos(angle), np.sin(angle)
 
 
-# `numpy` has these functions for arrays of any shape: for a few points they take many times as long.
+# `numpy` has these functions for arrays of any shape: for a few points they take far longer.
 def _gradient(points: Array) -> Array:
     """Return the steps along a path (K, 3) at each of its points, as `numpy.gradient` does."""
     steps = np.empty_like(points)
