@@ -10,13 +10,13 @@ from pathlib import Path
 from salsanext_cli.commands.jobs.fuse_task import FuseTask
 from salsanext_cli.commands.jobs.plans.prepared_run import PreparedRun
 from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
-from salsanext_cli.core.errors import SalsanextError, UsageError
+from salsanext_cli.core.errors import OutputError, SalsanextError, UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.window import warn_without_movable_classes
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
-from salsanext_cli.core.wording import setting
+from salsanext_cli.core.wording import argument, setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.drive_of_run import drive_of_run, foresee_drive
 from salsanext_cli.runs.drives.fusible_results import FusibleResults, fusible_results, sequences_of
@@ -24,7 +24,7 @@ from salsanext_cli.runs.drives.scans_of_drive import drive_findings
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.folder_names import DISAGREEMENT, FUSED
-from salsanext_cli.runs.results.query import ResultQuery
+from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.scan_places import MovedFolder, ScanPlaces, scan_places
 from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
 from salsanext_cli.runs.scans.selection import scans_of
@@ -191,7 +191,11 @@ def _prepared(
     sequences = sequences_of(options.shard.select(fusible.scans))
     # All scans of a drive vote, not only the selected ones.
     voting = [file for name in fusible.sequences for file in fusible.members[name]]
-    places = {folder: scan_places(folder, voting) for folder in (out, target)}
+    places = {
+        folder: scan_places(folder, voting, overwrite=options.overwrite) for folder in (out, target)
+    }
+    _require_recorded(out, places[out])
+    _require_recorded(target, places[target], "use another folder for the fused labels")
     _log_moves(places)
     return PreparedFusion(
         fusible=fusible,
@@ -204,7 +208,7 @@ def _prepared(
             recorded=fusible.settings_of_votes(reach),
             folders=FOLDERS_OF_VOTES,
             overwrite=options.overwrite,
-            records_scans=places[out].is_to_record,
+            records_scans=places[out].are_recorded,
             moved=places[out].moved_to,
         ),
         labels=PreparedRun(
@@ -215,10 +219,30 @@ def _prepared(
             recorded=fusible.settings_of_labels(reach, target),
             folders=(*FOLDERS_OF_VOTES, "predictions"),
             overwrite=options.overwrite,
-            records_scans=places[target].is_to_record,
+            records_scans=places[target].are_recorded,
             moved=places[target].moved_to,
         ),
     )
+
+
+def _require_recorded(folder: Path, places: ScanPlaces, hint: str = "") -> None:
+    """Refuse scans that may be others than those of the results in a folder.
+
+    `hint`: what to do; by default to use the recorded scans, which are still there.
+    """
+    other = places.other
+    if other is None:
+        return
+    if not hint:
+        hint = (
+            f"omit {argument('dataset')} and {DATASET_VARIABLE}, which are for scans that are gone"
+        )
+        if other.was_moved:
+            hint = (
+                f"give their data set, or compute the votes again with {setting('overwrite', True)}"
+            )
+    problem = f"has results of {other.recorded}, which is still there, not of {other.now}"
+    raise OutputError(folder, problem, "the same scans", hint)
 
 
 def _log_moves(places: Mapping[Path, ScanPlaces]) -> None:

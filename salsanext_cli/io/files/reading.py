@@ -98,6 +98,14 @@ def present(path: Path) -> bool:
     return _status(path) is not None
 
 
+def reachable(path: Path) -> bool:
+    """Return whether a path exists and the system lets it be looked up; otherwise as if gone."""
+    try:
+        return present(path)
+    except FormatError:
+        return False
+
+
 def filled(path: Path) -> bool:
     """Return whether a file exists and has content; a power cut can leave it empty."""
     status = _status(path)

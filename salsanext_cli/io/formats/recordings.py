@@ -49,6 +49,14 @@ def recording_of(path: Path) -> Path | None:
     return existing if existing is not None and is_recording(existing) else None
 
 
+def reachable_recording(path: Path) -> Path | None:
+    """Return the recording of `recording_of`; None also if the system does not let it be found."""
+    try:
+        return recording_of(path)
+    except FormatError:
+        return None
+
+
 def sequence_of(recording: Path) -> str:
     """Return the name of the sequence of a recording."""
     return recording.name if is_folder(recording) else recording.stem

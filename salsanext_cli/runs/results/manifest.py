@@ -93,7 +93,7 @@ class StageRecord:
     writes: tuple[str, ...] = ()  # Folders of results, keys of `SUFFIX_OF_FOLDER`
     # By sequence; empty for a stage that works on the results of earlier stages
     scans: Mapping[str, ScanSource] = field(default_factory=dict)
-    # Last folder by sequence where a run found scans that an earlier stage recorded elsewhere
+    # Folder by sequence of scans that an earlier stage recorded elsewhere, when a run used them
     moved: Mapping[str, str] = field(default_factory=dict)
     # Files of other settings or origin that were not removed, as paths below the folder
     foreign: tuple[str, ...] = ()
@@ -171,6 +171,12 @@ def _settings(path: Path, stage: str, state: tuple[object, ...]) -> StageSetting
     return record_of(settings_type(stage), without_names(record.settings), path)
 
 
+@lru_cache(4)  # Each failing scan of a run has a hint, for which the sources are merged.
+def _sources(root: Path, _: tuple[object, ...]) -> dict[str, ScanSource]:
+    """Return the sources of all stages in a folder; the last argument changes with the records."""
+    return merged_sources(record.scans for record in Manifest(root).records().values())
+
+
 @dataclass(frozen=True, slots=True)
 class Manifest:
     """Records of the stages that ran in a folder, read on demand."""
@@ -198,7 +204,8 @@ class Manifest:
 
     def sources(self) -> dict[str, ScanSource]:
         """Return the sources of the scans of all stages, by sequence."""
-        return merged_sources(record.scans for record in self.records().values())
+        paths = tuple(map(self.path, RESULT_STAGES))
+        return dict(_sources(self.root, tuple(map(identity, paths))))
 
     @overload
     def settings(self, stage: Literal["project"]) -> ProjectSettings | None: ...

@@ -209,7 +209,8 @@ class OutputRun(OwnedFolder):
             settings=settings,
             writes=tuple(sorted({*continued.writes, *new.writes})),
             scans=merged_sources((continued.scans, new.scans)),
-            moved={**continued.moved, **new.moved},
+            # Results that exist were computed with the scans of the earlier places.
+            moved={**new.moved, **continued.moved, **(new.moved if self.overwrite else {})},
             foreign=tuple(sorted({*continued.foreign, *names})),
         )
 

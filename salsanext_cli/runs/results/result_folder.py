@@ -21,7 +21,7 @@ from salsanext_cli.core.uncertainty.kinds import DEFAULT_UNCERTAINTIES, UNCERTAI
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.formats.recordings import reachable_recording, recording_of
 from salsanext_cli.runs.results.folder_names import (
     PREDICTION_STAGES,
     SINGLE_SCAN_STAGES,
@@ -161,7 +161,12 @@ class ResultFolder:
         may be there while the recorded ones are out of reach.
         """
         folder = Path(source.folder) if source else None
-        if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
+        if (
+            source
+            and folder
+            and not self.dataset
+            and (is_folder(folder) or reachable_recording(folder))
+        ):
             scans = recorded_scans(folder, sequence, source.suffixes)
             if scans:
                 return scans

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from salsanext_cli.core.errors import NoInputError
+from salsanext_cli.core.errors import FormatError, NoInputError
 from salsanext_cli.core.wording import setting
-from salsanext_cli.io.files.reading import identity, is_folder, present
-from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.files.reading import identity, is_folder, reachable
+from salsanext_cli.io.formats.recordings import reachable_recording
 from salsanext_cli.runs.results.manifest import RESULT_STAGES, Manifest, ScanSource
 from salsanext_cli.runs.results.scan_places import folders_now
 from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
@@ -104,10 +104,10 @@ def _asked_for(out: Path, folders: tuple[tuple[str, str], ...], _: tuple[object,
 
 
 def _scans_in(folder: Path) -> list[ScanFile]:
-    """Return the scans in a folder, none if it is gone."""
+    """Return the scans in a folder, none if it is gone or cannot be read."""
     try:
         return scans_at_top(folder)
-    except NoInputError:
+    except (NoInputError, FormatError):
         return []
 
 
@@ -127,7 +127,7 @@ def _scans_of_sources(
     for sequence, source in sources.items():
         for stem, suffix in source.suffixes.items():
             path = folder / f"{stem}{suffix}"
-            if suffix and path not in listed and present(path):
+            if suffix and path not in listed and reachable(path):
                 scans.append(ScanFile(sequence=sequence, stem=stem, path=path))
     return scans
 
@@ -142,7 +142,7 @@ def _arguments(scans: list[ScanFile], in_folders: list[ScanFile]) -> ScanArgumen
     if scans == candidates:
         return _folders_of(scans, in_folders)
     paths = [scan.path for scan in scans]
-    if count <= MAX_NAMED_SOURCES and not any(map(recording_of, paths)):
+    if count <= MAX_NAMED_SOURCES and not any(map(reachable_recording, paths)):
         return ScanArguments(sources=tuple(map(str, paths)))
     if scans == candidates[:count]:
         arguments = _folders_of(candidates, in_folders)
@@ -178,8 +178,8 @@ def _has_others(data_set: Path, folders: Collection[Path]) -> bool:
 
 def _whole(file: ScanFile) -> ScanArguments:
     """Return the arguments of all scans of the data set or the folder of a scan."""
-    with suppress(NoInputError):
+    with suppress(NoInputError, FormatError):
         # A sequence that was renamed has another name in a run over its folder.
-        if recording_of(file.path) or file in find_scans(file.path, unique=False):
+        if reachable_recording(file.path) or file in find_scans(file.path, unique=False):
             return ScanArguments(sources=(str(data_set_of(file) or file.path.parent),))
     return UNKNOWN

@@ -2,13 +2,13 @@
 """Where scans with results are, compared with where they were recorded."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from pathlib import Path
 
-from salsanext_cli.io.files.reading import is_folder, is_same_file, present
-from salsanext_cli.io.formats.recordings import recording_of
+from salsanext_cli.io.files.reading import is_folder, is_same_file, reachable
+from salsanext_cli.io.formats.recordings import reachable_recording
 from salsanext_cli.runs.results.manifest import Manifest
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.selection import data_set_of
@@ -18,12 +18,12 @@ MAX_DEPTH_OF_DRIVES = 2
 
 
 class PlaceState(Enum):
-    """Places of scans; of several scans, the last state that one of them has."""
+    """Places of scans. Several scans have the state of one of them that is last in this list."""
 
-    RECORDED = auto()  # Where it was recorded
-    LINKED = auto()  # At another path, which leads to the recorded file
-    MOVED = auto()  # Elsewhere, while the recorded file is gone
-    OTHER = auto()  # Elsewhere, while the recorded file is still there: maybe of another data set
+    RECORDED = auto()  # Where they were recorded
+    LINKED = auto()  # At other paths, which lead to the recorded files
+    MOVED = auto()  # Elsewhere, while the recorded files are gone or cannot be reached
+    OTHER = auto()  # Elsewhere, while a recorded file is still there: maybe of another data set
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,33 +35,33 @@ class MovedFolder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OtherScan:
+    """Scan that may be another one than the recorded scan of its name, which is still there."""
+
+    recorded: Path
+    now: Path
+    # Whether votes were computed with the recorded scan after the scans of the labels were moved
+    was_moved: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ScanPlaces:
     """Places of scans with results."""
 
     state: PlaceState
     # By sequence, if the state is `MOVED`
     moved: Mapping[str, MovedFolder] = field(default_factory=dict)
+    # Folder of each sequence that was moved now or when its votes were computed, to be recorded
+    moved_to: Mapping[str, str] = field(default_factory=dict, compare=False)
+    other: OtherScan | None = None  # The first one, if the state is `OTHER`
 
     @property
     def are_recorded(self) -> bool:
         """Whether every scan is where it was recorded."""
         return self.state is PlaceState.RECORDED
 
-    @property
-    def is_to_record(self) -> bool:
-        """Whether a run records the places, which refuses scans that may be others.
 
-        The recorded paths of other scans stay.
-        """
-        return self.state in (PlaceState.RECORDED, PlaceState.OTHER)
-
-    @property
-    def moved_to(self) -> dict[str, str]:
-        """Present folder of moved scans by sequence."""
-        return {sequence: str(folder.now) for sequence, folder in self.moved.items()}
-
-
-def scan_places(out: Path, scans: Iterable[ScanFile]) -> ScanPlaces:
+def scan_places(out: Path, scans: Iterable[ScanFile], *, overwrite: bool = False) -> ScanPlaces:
     """Compare the places of scans with those that the runs in a folder recorded.
 
     Parameters
@@ -70,27 +70,39 @@ def scan_places(out: Path, scans: Iterable[ScanFile]) -> ScanPlaces:
         Folder with results.
     scans : iterable of ScanFile
         Scans where they are now. Those that no run recorded are where they belong.
+    overwrite : bool
+        Whether votes are computed again, so that the places of the scans that voted do not matter.
 
     Returns
     -------
     ScanPlaces
     """
-    sources = Manifest(out).sources()
+    recorded = _RecordedPlaces(out)
     moved: dict[str, MovedFolder] = {}
+    moved_to: dict[str, str] = {}
     is_linked = False
     for scan in scans:
-        source = sources.get(scan.sequence)
-        recorded = source.path(scan) if source else scan.path
-        state = _state(recorded, scan.path)
-        if state is PlaceState.OTHER:
-            return ScanPlaces(state=state)
-        if state is PlaceState.MOVED:
-            folder = MovedFolder(before=recorded.parent, now=scan.path.parent)
-            moved.setdefault(scan.sequence, folder)
-        is_linked = is_linked or state is PlaceState.LINKED
+        places = [recorded.of_labels(scan)]
+        of_votes = recorded.of_votes(scan)
+        if of_votes:
+            moved_to[scan.sequence] = str(scan.path.parent)
+        if not overwrite:
+            places += of_votes
+        for place in places:
+            state = recorded.state(place, scan.path)
+            if state is PlaceState.OTHER:
+                was_moved = place != places[0]
+                other = OtherScan(recorded=place, now=scan.path, was_moved=was_moved)
+                return ScanPlaces(state=state, other=other)
+            if state is PlaceState.MOVED:
+                folder = MovedFolder(before=place.parent, now=scan.path.parent)
+                moved.setdefault(scan.sequence, folder)
+                moved_to[scan.sequence] = str(scan.path.parent)
+            is_linked = is_linked or state is PlaceState.LINKED
+    state = PlaceState.LINKED if is_linked else PlaceState.RECORDED
     if moved:
-        return ScanPlaces(state=PlaceState.MOVED, moved=moved)
-    return ScanPlaces(state=PlaceState.LINKED if is_linked else PlaceState.RECORDED)
+        state = PlaceState.MOVED
+    return ScanPlaces(state=state, moved=moved, moved_to=moved_to)
 
 
 def folders_now(records: Manifest, scans: Iterable[ScanFile]) -> dict[str, str]:
@@ -109,14 +121,14 @@ def folders_now(records: Manifest, scans: Iterable[ScanFile]) -> dict[str, str]:
     }
 
 
-def moved_data_set(out: Path, scans: Iterable[ScanFile]) -> Path | None:
+def moved_data_set(out: Path, scans: Sequence[ScanFile]) -> Path | None:
     """Return the data set of all recorded scans after a move; None if some are not in it.
 
     Parameters
     ----------
     out : Path
         Folder with results.
-    scans : iterable of ScanFile
+    scans : sequence of ScanFile
         Scans where they are now, at least one of which was moved.
 
     Returns
@@ -125,11 +137,12 @@ def moved_data_set(out: Path, scans: Iterable[ScanFile]) -> Path | None:
         Root of the data set of the first moved scan, else the common folder of all drives, since a
         stage on the results of all drives finds none of them in the folder of another.
     """
-    moved_scans = [scan for scan in scans if not scan_places(out, [scan]).are_recorded]
-    folders = [Path(folder) for folder in folders_now(Manifest(out), moved_scans).values()]
-    if not all(is_folder(folder) or recording_of(folder) for folder in folders):
+    recorded = _RecordedPlaces(out)
+    moved_scan = next(scan for scan in scans if recorded.of_labels(scan) != scan.path)
+    folders = [Path(folder) for folder in folders_now(Manifest(out), [moved_scan]).values()]
+    if not all(is_folder(folder) or reachable_recording(folder) for folder in folders):
         return None
-    data_set = data_set_of(moved_scans[0])
+    data_set = data_set_of(moved_scan)
     if data_set is not None:
         return data_set if all(folder.is_relative_to(data_set) for folder in folders) else None
     common = Path(os.path.commonpath(folders))
@@ -137,23 +150,52 @@ def moved_data_set(out: Path, scans: Iterable[ScanFile]) -> Path | None:
     return common if depth <= MAX_DEPTH_OF_DRIVES else None
 
 
-def _state(recorded: Path, now: Path) -> PlaceState:
-    """Return the state of one scan."""
-    if recorded == now:
-        return PlaceState.RECORDED
-    if _are_same(recorded, now):
-        return PlaceState.LINKED
-    is_there = present(recorded) or recording_of(recorded) is not None
-    if is_there or recorded.name != now.name:
-        return PlaceState.OTHER
-    return PlaceState.MOVED
+class _RecordedPlaces:
+    """Places of scans in the records of a folder; each folder is asked for a recording once."""
 
+    def __init__(self, out: Path) -> None:
+        manifest = Manifest(out)
+        self._sources = manifest.sources()
+        self._moved: dict[str, str] = {}
+        for record in manifest.records().values():
+            self._moved.update(record.moved)
+        self._recordings: dict[Path, Path | None] = {}
 
-def _are_same(first: Path, second: Path) -> bool:
-    """Return whether two paths lead to the same file, or to the same scan of one recording."""
-    recording = recording_of(first)
-    other = recording_of(second)
-    if recording is None or other is None:
-        return is_same_file(first, second)
-    has_same_name = first.relative_to(recording) == second.relative_to(other)
-    return has_same_name and is_same_file(recording, other)
+    def of_labels(self, scan: ScanFile) -> Path:
+        """Return where a scan was recorded; its own path if it was not."""
+        source = self._sources.get(scan.sequence)
+        return source.path(scan) if source else scan.path
+
+    def of_votes(self, scan: ScanFile) -> list[Path]:
+        """Return where a scan was when its votes were computed, if it had been moved then."""
+        folder = self._moved.get(scan.sequence)
+        return [Path(folder, self.of_labels(scan).name)] if folder else []
+
+    def state(self, recorded: Path, now: Path) -> PlaceState:
+        """Return the state of one scan."""
+        if recorded == now:
+            return PlaceState.RECORDED
+        if self._are_same(recorded, now):
+            return PlaceState.LINKED
+        is_there = reachable(recorded) or self._recording(recorded) is not None
+        if is_there or recorded.name != now.name:
+            return PlaceState.OTHER
+        return PlaceState.MOVED
+
+    def _are_same(self, first: Path, second: Path) -> bool:
+        """Return whether two paths lead to the same file, or to the same scan of a recording."""
+        if reachable(first) and reachable(second):
+            return is_same_file(first, second)
+        recording = self._recording(first)
+        other = self._recording(second)
+        if recording is None or other is None:
+            return False
+        has_same_name = first.relative_to(recording) == second.relative_to(other)
+        return has_same_name and is_same_file(recording, other)
+
+    def _recording(self, scan: Path) -> Path | None:
+        """Return the recording that a scan is in, None for other scans."""
+        folder = scan.parent
+        if folder not in self._recordings:
+            self._recordings[folder] = reachable_recording(folder)
+        return self._recordings[folder]

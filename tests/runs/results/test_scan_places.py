@@ -19,7 +19,7 @@ from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
 from salsanext_cli.runs.loop.run_options import RunOptions, Shard
-from salsanext_cli.runs.results.making_commands import FUSE
+from salsanext_cli.runs.results.making_commands import FUSE, making_hint
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.runs.results.scan_places import MovedFolder, PlaceState, ScanPlaces, scan_places
 from salsanext_cli.runs.scans.scan_file import ScanFile
@@ -28,7 +28,6 @@ from salsanext_cli.runs.scans.scan_selection import ScanSelection
 
 POSE = b"1 0 0 0 0 1 0 0 0 0 1 0\n"
 FIRST = ResultQuery(selection=ScanSelection(limit=1))
-OTHER = ScanPlaces(state=PlaceState.OTHER)
 
 
 def vote(world):
@@ -91,11 +90,87 @@ def test_the_place_of_moved_scans_is_recorded_beside_their_votes(voted, tmp_path
     # Labels by votes of the other scans are not taken for those of the recorded ones.
     hidden.rename(voted.data)
     before = files_below(voted.out / "sequences")
-    refused(OutputError, voted.out / "fused", fuse_results, voted.out)
+    caught = refused(OutputError, voted.out, fuse_results, voted.out)
+    assert "overwrite" in caught.value.hint
     refused(OutputError, voted.out, fuse_results, voted.out, tmp_path / "second")
-    assert files_below(voted.out / "sequences") == before
     again = RunOptions(overwrite=True)
+    refused(OutputError, voted.out / "fused", fuse_results, voted.out, options=again)
+    assert files_below(voted.out / "sequences") == before
     assert fuse_results(voted.out, tmp_path / "third", options=again).done == 3
+    # The votes are of the recorded scans again.
+    record = json.loads((voted.out / "fuse.json").read_bytes())
+    assert record["moved"] == {
+        name: str(voted.data / "sequences" / name / "velodyne") for name in ("00", "08")
+    }
+    assert fuse_results(voted.out, tmp_path / "third").skipped == 3
+
+
+def test_the_place_at_which_votes_were_computed_stays_recorded(voted, tmp_path):
+    """As of a run on the first scans, after which the drives are moved again."""
+    first = voted.data.rename(tmp_path / "first")
+    assert fuse_results(voted.out, query=replace(FIRST, dataset=first)).done == 1
+    second = other_data(replace(voted, data=first), tmp_path / "second")
+    before = files_below(voted.out)
+    for overwrite in (False, True):
+        # The scans of the first place are there.
+        options = RunOptions(overwrite=overwrite)
+        at_second = ResultQuery(dataset=second)
+        subject = voted.out / "fused" if overwrite else voted.out
+        refused(OutputError, subject, fuse_results, voted.out, query=at_second, options=options)
+        refused(OutputError, subject, plan_fusion, voted.out, query=at_second, options=options)
+    assert files_below(voted.out) == before
+    first.rename(tmp_path / "unmounted")
+    outcome = fuse_results(voted.out, query=at_second)
+    assert (outcome.skipped, outcome.done) == (1, 2)
+    moved = json.loads((voted.out / "fuse.json").read_bytes())["moved"]
+    assert moved == {
+        "00": str(first / "sequences/00/velodyne"),
+        "08": str(second / "sequences/08/velodyne"),
+    }
+
+
+def test_scans_beside_the_recorded_ones_have_a_hint_that_works(voted, tmp_path):
+    """As copies on a faster disk."""
+    copy = shutil.copytree(voted.data, tmp_path / "copy")
+    with spelled(CommandLine()):
+        query = ResultQuery(dataset=copy)
+        caught = refused(OutputError, voted.out, fuse_results, voted.out, query=query)
+    assert "omit --dataset" in caught.value.hint
+    assert str(voted.scan("00")) in caught.value.problem
+    assert fuse_results(voted.out).done == 3
+
+
+def test_a_place_that_cannot_be_reached_counts_as_gone(voted, tmp_path, monkeypatch):
+    """As a folder of a network disk, or one without permission; the system refuses a loop, too."""
+    moved = voted.data.rename(tmp_path / "moved")
+    voted.data.symlink_to(voted.data)
+    monkeypatch.delenv(DATASET_VARIABLE, raising=False)
+    scans = find_scans(moved)
+    assert scan_places(voted.out, scans).state is PlaceState.MOVED
+    assert dataset_of_hint(voted, scans) == str(moved)
+    gone = ScanFile(sequence="08", stem="000000", path=voted.scan())
+    assert making_hint("label", voted.out, [gone])
+    refused(NoInputError, voted.out / "sequences/00", fuse_results, voted.out)
+    monkeypatch.setenv(DATASET_VARIABLE, str(moved))
+    assert len(plan_fusion(voted.out).todo) == 3
+    assert len(plan_fusion(voted.out, query=ResultQuery(dataset=moved)).todo) == 3
+
+
+def test_the_places_of_many_scans_take_few_calls_of_the_system(world, tmp_path, monkeypatch):
+    scans = find_scans(world.data)
+    ask(world, scans)
+    moved = [replace(scan, path=tmp_path / "new" / scan.name) for scan in scans]
+    many = [replace(scan, path=scan.path.with_name(scan.path.name + ".bin")) for scan in moved] * 20
+    shutil.rmtree(world.data)
+    status, calls = Path.stat, []
+
+    def counted(path, **how):
+        calls.append(path)
+        return status(path, **how)
+
+    monkeypatch.setattr(Path, "stat", counted)
+    assert scan_places(world.out, many).state is PlaceState.MOVED
+    assert len(calls) < 4 * len(many)
 
 
 def test_scans_that_vote_are_those_of_the_recorded_place_although_others_are_selected(
@@ -146,14 +221,16 @@ def test_scans_are_moved_if_their_recorded_files_are_gone(world, tmp_path):
     ask(world, scans)
     copied = find_scans(shutil.copytree(world.data, tmp_path / "copy"))
     assert scan_places(world.out, scans) == ScanPlaces(state=PlaceState.RECORDED)
-    assert scan_places(world.out, copied) == OTHER
+    assert scan_places(world.out, copied).state is PlaceState.OTHER
     scans[0].path.unlink()
-    assert scan_places(world.out, copied) == OTHER, "scans of another sequence are there"
+    assert scan_places(world.out, copied).state is PlaceState.OTHER, (
+        "scans of another sequence are there"
+    )
     move = MovedFolder(before=scans[0].path.parent, now=copied[0].path.parent)
     places = scan_places(world.out, copied[:1])
     assert places == ScanPlaces(state=PlaceState.MOVED, moved={"00": move})
     renamed = replace(copied[0], path=copied[0].path.with_suffix(".ply"))
-    assert scan_places(world.out, [renamed]) == OTHER
+    assert scan_places(world.out, [renamed]).state is PlaceState.OTHER
 
 
 def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
@@ -168,7 +245,7 @@ def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
         (tmp_path / "elsewhere/drive.bag/points/1", PlaceState.OTHER),
     ):
         scan = ScanFile(sequence="drive", stem="1", path=path)
-        assert scan_places(world.out, [scan]) == ScanPlaces(state=state)
+        assert scan_places(world.out, [scan]).state is state
     recording.unlink()
     move = MovedFolder(before=recording / "points", now=scan.path.parent)
     places = scan_places(world.out, [scan])

@@ -40,9 +40,9 @@ OPTIONS: dict[type, dict[str, Declaration]] = {
     },
     ResultQuery: {
         "dataset": selection(
-            "Data set with the scans and labels, for results that do not record it; also "
-            "SALSANEXT_DATASET.",
-            show_default="the recorded data set, else the current folder",
+            "Data set with the scans and labels, for results that do not record it, or whose scans "
+            "were moved; also SALSANEXT_DATASET.",
+            show_default="the recorded data set; without a record, the current folder",
         ),
         "label_space": selection(
             "Label space of the labels: built-in, or a .yaml file in SemanticKITTI's format.",
