@@ -210,14 +210,12 @@ def population_difference(
 
 def _by_permutation(traits: Double, count: int) -> tuple[int, float]:
     """Return the trait (U, T) that differs most after `count` units, and the chance of that."""
-    spread = traits.std(axis=0)
-    observed = _differences(traits[:count], traits[count:], spread)
+    observed = _differences(traits[:count].sum(axis=0)[None], count, traits)[0]
     rng = np.random.default_rng(0)
-    as_large = 1
-    for _ in range(PERMUTATIONS):
-        drawn = rng.permutation(traits)
-        differences = _differences(drawn[:count], drawn[count:], spread)
-        as_large += int(differences.max() >= observed.max() - 1e-9)
+    orders = (rng.permutation(len(traits)) for _ in range(PERMUTATIONS))
+    sums = np.array([traits[order[:count]].sum(axis=0) for order in orders])
+    largest = _differences(sums, count, traits).max(axis=1)
+    as_large = 1 + int(np.count_nonzero(largest >= observed.max() - 1e-9))
     # Of all divisions, the observed one is at least as extreme; draws may miss that by chance.
     chance = max(as_large / (PERMUTATIONS + 1), 1 / math.comb(len(traits), count))
     return int(observed.argmax()), chance
@@ -278,7 +276,25 @@ def _without_measures(traits: Sequence[UnitTraits]) -> list[UnitTraits]:
     return [replace(unit, measures=()) for unit in traits]
 
 
-def _differences(before: Double, now: Double, spread: Double) -> Double:
-    """Return the absolute differences of the means of two groups (U, T) and (V, T), (T,)."""
-    gaps = np.abs(before.mean(axis=0) - now.mean(axis=0))
+def _differences(sums: Double, count: int, traits: Double) -> Double:
+    """Return how much the means of a group of units differ from those of the others.
+
+    Parameters
+    ----------
+    sums : (P, T) float64
+        Sums of the traits of such groups.
+    count : int
+        Number of units of a group.
+    traits : (U, T) float64
+        Traits of all units.
+
+    Returns
+    -------
+    (P, T) float64
+        Absolute differences, relative to the deviation of the trait; 0 for a trait without one.
+    """
+    spread = traits.std(axis=0)
+    means = sums / count
+    means_of_others = (traits.sum(axis=0) - sums) / (len(traits) - count)
+    gaps = np.abs(means - means_of_others)
     return np.divide(gaps, spread, out=np.zeros_like(gaps), where=spread > 1e-9)
