@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import timedelta
 from typing import Any, TypeVar
 
@@ -18,7 +18,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.core.engines.device import PRECISIONS, choose_device
 from salsanext_cli.core.errors import SalsanextError, UsageError
-from salsanext_cli.core.notices import NOTICE, log_once
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.training.failure_watch import LEAVING_S, POLL_S, FailureWatch
 
 TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
@@ -35,11 +35,19 @@ class ProcessGroup:
     rank: int = 0
     size: int = 1
     store: Any = None  # `Store` of torch that all workers share; None in a group of one
+    # Notices of the training that this process has logged
+    notices: set[str] = field(default_factory=set, compare=False, repr=False)
 
     @property
     def is_main(self) -> bool:
         """True in the process that writes and reports."""
         return self.rank == 0
+
+    def notice_once(self, text: str) -> None:
+        """Log a notice in the main process, once in the training of the group."""
+        if self.is_main and text not in self.notices:
+            self.notices.add(text)
+            log.log(NOTICE, "%s", text)
 
     def sum(self, tensor: Tensor) -> Tensor:
         """Return the sum of the tensors of all workers, without a gradient."""
@@ -159,9 +167,8 @@ def agreed_precision(precision: str, device: torch.device | str, group: ProcessG
     precisions = sorted({PRECISIONS[int(number)] for number in gathered})
     if len(precisions) == 1:
         return precision
-    if group.is_main:
-        text = f"workers have different number types ({', '.join(precisions)}): all use float32"
-        log_once(text, NOTICE)
+    text = f"workers have different number types ({', '.join(precisions)}): all use float32"
+    group.notice_once(text)
     return "float32"
 
 

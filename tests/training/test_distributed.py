@@ -19,7 +19,13 @@ from training.forked_workers import ENVIRONMENT, Group, GroupEnd, ends_of
 from training.two_workers import CASES, RESULTS, batch, learner, share, stepped
 
 from salsanext_cli.core.errors import TrainingError, UsageError
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
+from salsanext_cli.core.notices import NOTICE
+from salsanext_cli.training.distributed import (
+    SINGLE_PROCESS,
+    ProcessGroup,
+    agreed_precision,
+    process_group,
+)
 from salsanext_cli.training.fit import Training
 
 TWO = Group(module="training.two_workers", function="write_results", size=2)
@@ -182,3 +188,23 @@ def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     with refused(UsageError, "device cuda:1"), process_group("cuda:1"):
         pass
+
+
+class TwoTypes(ProcessGroup):
+    """Two workers, the other of which computes in another number type."""
+
+    def gather(self, tensor: torch.Tensor, lengths: Any = None) -> list[torch.Tensor]:
+        return [tensor, tensor + 1]
+
+
+def test_every_training_prints_once_that_its_workers_use_float32(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(NOTICE)
+    for _ in range(2):
+        group = TwoTypes(rank=0, size=2)
+        for _ in range(2):
+            assert agreed_precision("float32", "cpu", group) == "float32"
+    assert len(caplog.messages) == 2
+    agreed_precision("float32", "cpu", TwoTypes(rank=1, size=2))
+    assert len(caplog.messages) == 2

@@ -21,7 +21,7 @@ def pinned(tensor: Tensor, device: str | torch.device) -> Tensor:
     """Return a tensor of the host in memory that a device reads directly; unchanged for a CPU."""
     if torch.device(device).type == "cpu":
         return tensor
-    with _memory_of_host():
+    with memory_of_host():
         return tensor.pin_memory()
 
 
@@ -102,12 +102,12 @@ class HostCopies:
 
 def _page_locked(tensor: Tensor) -> Tensor:
     """Return page-locked memory of the host for a contiguous copy of a tensor."""
-    with _memory_of_host():
+    with memory_of_host():
         return torch.empty(tensor.shape, dtype=tensor.dtype, pin_memory=True)
 
 
 @contextmanager
-def _memory_of_host() -> Iterator[None]:
+def memory_of_host() -> Iterator[None]:
     """Raise `MemoryError` for page-locked memory; CUDA names it as it names that of a GPU."""
     try:
         yield

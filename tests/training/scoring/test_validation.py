@@ -17,7 +17,7 @@ from shallow_network import shallow, weights  # noqa: F401
 
 from salsanext_cli import Scan, knn_refine, load_network, project, read_labels, read_scan
 from salsanext_cli.core.measures.scores import scores
-from salsanext_cli.core.notices import NOTICE, log_once
+from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.texts import HINT
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.training.data.sources import Source
@@ -127,7 +127,6 @@ def test_logits_that_are_not_finite_in_float32_either_have_no_hint(tmp_path, wei
 
 def test_workers_with_different_number_types_validate_in_float32(tmp_path, weights, caplog):
     """An overflow in one of them would let it wait for the others, which validate once."""
-    log_once.cache_clear()
     files = find_scans(write_sequence(tmp_path / "08", ["a", "b"], count=400))
     exact = load_network(weights, "cpu", precision="float32", engine="torch")
     source = Source(files=files, space=exact.card.space, sensor=exact.sensor)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from salsanext_cli.core.engines.device_copies import memory_of_host
 from salsanext_cli.core.errors import TrainingError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import setting
@@ -87,7 +88,11 @@ class ScanMemory:
         if self.device.type == "cpu":
             raise _no_room()
         require_host_room(points)
-        return _block(points, torch.device("cpu"), pin_memory=True)
+        try:
+            with memory_of_host():
+                return _block(points, torch.device("cpu"), pin_memory=True)
+        except MemoryError as error:
+            raise _no_room() from error
 
 
 def host_reserve(host: Memory) -> int:

@@ -106,6 +106,18 @@ def test_memory_that_another_program_takes_meanwhile_is_no_error(blocks, monkeyp
     assert blocks == [("cpu", True)]
 
 
+def test_a_host_without_page_locked_memory_has_no_room(monkeypatch):
+    """CUDA names it as it names the memory of a GPU, which fewer scans in a batch would spare."""
+
+    def exhausted(points: int, device: torch.device, *, pin_memory: bool = False) -> StoredScan:
+        raise RuntimeError("CUDA error: out of memory")
+
+    monkeypatch.setattr(scan_memory, "_block", exhausted)
+    monkeypatch.setattr(scan_memory, "memory_of", lambda _: None)
+    memory = ScanMemory(device=torch.device("cuda"), is_full=True)
+    refused(TrainingError, "memory", memory.put, *scan(4, 1))
+
+
 def test_filled_memory_leaves_the_rest_of_its_block(blocks, monkeypatch):
     monkeypatch.setattr(scan_memory, "memory_of", lambda _: None)
     memory = ScanMemory(device=torch.device("cuda"))
