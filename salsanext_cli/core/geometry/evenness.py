@@ -17,7 +17,7 @@ from salsanext_cli.core.compiled import argument, compiled
 from salsanext_cli.core.geometry.point_sample import few_points, measured_ranges
 from salsanext_cli.core.geometry.projection import arctan2
 from salsanext_cli.core.geometry.sectors import SECTORS, sector_of_points
-from salsanext_cli.core.records import MAX_RANGE_M, Double, Indices, Scan
+from salsanext_cli.core.records import MAX_RANGE_M, Double, Scan
 
 FEW_POINTS = 4096  # Points that show whether a scan is seen from a position
 MIN_POINTS = 1000  # Fewest points that show a position
@@ -71,7 +71,10 @@ def is_out_of_place(scan: Scan, *, nearby: bool = True) -> bool:
         return True
     sectors = sectors_around(points)
     if sectors.is_fan:
-        return sectors.is_crowded_fan or _hidden_share(points) > HIDDEN
+        return (
+            sectors.is_crowded_fan
+            or hidden_share(argument(points, np.float64).reshape(-1)) > HIDDEN
+        )
     if sectors.fullest > CROWDED:
         return True
     if not nearby and sectors.fullest < CROWDED_NEARBY:
@@ -155,20 +158,10 @@ def mean_evenness(points: Double, position: Double, offsets: Double) -> float:
 
     Coordinates are in metres, point by point.
     """
-    count = len(points) // 3
-    around = np.empty(count)
-    upwards = np.empty(count)
-    is_far = np.empty(count, np.bool_)
-    # Without branches the loop is vectorised.
-    for i in range(count):
-        x = points[3 * i] - position[0]
-        y = points[3 * i + 1] - position[1]
-        z = points[3 * i + 2] - position[2]
-        flat = math.sqrt(x * x + y * y)
-        around[i] = arctan2(y, x) * (180 / math.pi) + 180
-        upwards[i] = arctan2(z, flat) * (180 / math.pi) + 90
-        # A point that is not finite has no cell.
-        is_far[i] = VEHICLE_M < math.sqrt(x * x + y * y + z * z) < np.inf
+    around, upwards, ranges = directions(points, position)
+    count = len(ranges)
+    # A point that is not finite has no cell.
+    is_far = (ranges > VEHICLE_M) & (ranges < np.inf)
     far_count = is_far.sum()
     counts = np.empty(COLUMNS * ROWS, np.int32)
     total = 0.0
@@ -177,7 +170,7 @@ def mean_evenness(points: Double, position: Double, offsets: Double) -> float:
         squares = 0  # Sum over the cells
         for i in range(count):
             if is_far[i]:
-                cell = int(around[i] + offset) * ROWS + int(upwards[i] + offset)
+                cell = cell_at(around[i] + offset, upwards[i] + offset)
                 # (n + 1)² is n² + 2 n + 1.
                 squares += 2 * counts[cell] + 1
                 counts[cell] += 1
@@ -186,28 +179,56 @@ def mean_evenness(points: Double, position: Double, offsets: Double) -> float:
     return total / len(offsets)
 
 
-def _directions(points: Double) -> tuple[Double, Double, Double]:
-    """Return azimuth and elevation, in degrees from 0, and range of each point (N, 3)."""
-    x, y, z = points.T
-    flat = np.hypot(x, y)
-    around = np.arctan2(y, x) * (180 / np.pi) + 180
-    upwards = np.arctan2(z, flat) * (180 / np.pi) + 90
-    return around, upwards, np.hypot(flat, z)
+@compiled
+def directions(points: Double, position: Double) -> tuple[Double, Double, Double]:
+    """Return azimuth and elevation, in degrees from 0, and range of each point, 3 × (N,) float64.
+
+    Parameters
+    ----------
+    points : (3 N,) float64
+        Coordinates, point by point, in metres.
+    position : (3,) float64
+        Position from which the directions are, in metres.
+    """
+    count = len(points) // 3
+    around = np.empty(count)
+    upwards = np.empty(count)
+    ranges = np.empty(count)
+    # Without branches the loop is vectorised.
+    for i in range(count):
+        x = points[3 * i] - position[0]
+        y = points[3 * i + 1] - position[1]
+        z = points[3 * i + 2] - position[2]
+        flat = math.sqrt(x * x + y * y)
+        around[i] = arctan2(y, x) * (180 / math.pi) + 180
+        upwards[i] = arctan2(z, flat) * (180 / math.pi) + 90
+        ranges[i] = math.sqrt(x * x + y * y + z * z)
+    return around, upwards, ranges
 
 
-def _cells(around: Double, upwards: Double) -> Indices:
-    """Return the cell of each direction (N,) in degrees from 0."""
-    return around.astype(np.intp) * ROWS + upwards.astype(np.intp)
+@compiled
+def cell_at(around: float, upwards: float) -> int:
+    """Return the cell of a direction in degrees from 0."""
+    return int(around) * ROWS + int(upwards)
 
 
-def _hidden_share(points: Double) -> float:
-    """Return the share of points (N, 3) far behind the nearest one of their direction, 0…1."""
-    around, upwards, ranges = _directions(points)
-    cells = _cells(around, upwards)
-    nearest = np.full(cells.max() + 1, np.inf)
-    np.minimum.at(nearest, cells, ranges)
-    limit = HIDDEN_M + (1 + HIDDEN_SHARE) * nearest[cells]
-    return float((ranges > limit).mean())
+@compiled
+def hidden_share(points: Double) -> float:
+    """Return the share of points far behind the nearest one of their direction, 0…1.
+
+    `points`: finite coordinates (3 N,), point by point, in metres from the position.
+    """
+    around, upwards, ranges = directions(points, np.zeros(3))
+    count = len(ranges)
+    nearest = np.full(COLUMNS * ROWS, np.inf)
+    for i in range(count):
+        cell = cell_at(around[i], upwards[i])
+        nearest[cell] = min(nearest[cell], ranges[i])
+    hidden = 0
+    for i in range(count):
+        limit = HIDDEN_M + (1 + HIDDEN_SHARE) * nearest[cell_at(around[i], upwards[i])]
+        hidden += ranges[i] > limit
+    return hidden / max(count, 1)
 
 
 def sectors_around(points: Double) -> Sectors:

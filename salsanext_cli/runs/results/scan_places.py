@@ -77,19 +77,19 @@ def scan_places(out: Path, scans: Iterable[ScanFile], *, overwrite: bool = False
     -------
     ScanPlaces
     """
-    recorded = _RecordedPlaces(out)
+    records = _RecordedPlaces(out)
     moved: dict[str, MovedFolder] = {}
     moved_to: dict[str, str] = {}
     is_linked = False
     for scan in scans:
-        places = [recorded.of_labels(scan)]
-        of_votes = recorded.of_votes(scan)
-        if of_votes:
+        places = [records.recorded_place(scan)]
+        voting_places = records.voting_places(scan)
+        if voting_places:
             moved_to[scan.sequence] = str(scan.path.parent)
         if not overwrite:
-            places += of_votes
+            places += voting_places
         for place in places:
-            state = recorded.state(place, scan.path)
+            state = records.state(place, scan.path)
             if state is PlaceState.OTHER:
                 was_moved = place != places[0]
                 other = OtherScan(recorded=place, now=scan.path, was_moved=was_moved)
@@ -137,8 +137,8 @@ def moved_data_set(out: Path, scans: Sequence[ScanFile]) -> Path | None:
         Root of the data set of the first moved scan, else the common folder of all drives, since a
         stage on the results of all drives finds none of them in the folder of another.
     """
-    recorded = _RecordedPlaces(out)
-    moved_scan = next(scan for scan in scans if recorded.of_labels(scan) != scan.path)
+    records = _RecordedPlaces(out)
+    moved_scan = next(scan for scan in scans if records.recorded_place(scan) != scan.path)
     folders = [Path(folder) for folder in folders_now(Manifest(out), [moved_scan]).values()]
     if not all(is_folder(folder) or reachable_recording(folder) for folder in folders):
         return None
@@ -161,15 +161,15 @@ class _RecordedPlaces:
             self._moved.update(record.moved)
         self._recordings: dict[Path, Path | None] = {}
 
-    def of_labels(self, scan: ScanFile) -> Path:
+    def recorded_place(self, scan: ScanFile) -> Path:
         """Return where a scan was recorded; its own path if it was not."""
         source = self._sources.get(scan.sequence)
         return source.path(scan) if source else scan.path
 
-    def of_votes(self, scan: ScanFile) -> list[Path]:
+    def voting_places(self, scan: ScanFile) -> list[Path]:
         """Return where a scan was when its votes were computed, if it had been moved then."""
         folder = self._moved.get(scan.sequence)
-        return [Path(folder, self.of_labels(scan).name)] if folder else []
+        return [Path(folder, self.recorded_place(scan).name)] if folder else []
 
     def state(self, recorded: Path, now: Path) -> PlaceState:
         """Return the state of one scan."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from street_scans import street
 
-from salsanext_cli.core.geometry.evenness import evenness, is_even_fan, is_fan
+from salsanext_cli.core.geometry.evenness import evenness, hidden_share, is_even_fan, is_fan
 
 OFFSETS = [0.0, 0.3, 0.75]
 NOT_FINITE = [[np.nan, 1, 1], [1, np.nan, 1], [30, 1, np.nan], [np.inf, 1, 1], [-np.inf, np.inf, 0]]
@@ -38,6 +38,23 @@ def test_evenness_by_a_plain_loop(others):
     assert len({*expected}) == len(OFFSETS), "the offsets matter"
     assert evenness(points, place) == pytest.approx(expected[0])
     assert evenness(points, place, OFFSETS) == pytest.approx(np.mean(expected))
+
+
+def test_hidden_points_by_a_plain_loop():
+    random = np.random.default_rng(1)
+    points = random.normal(size=(3000, 3)) * [20, 20, 1]
+    nearest: dict[tuple[int, int], float] = {}
+    rows = []
+    for x, y, z in points:
+        around = math.floor(math.degrees(math.atan2(y, x)) + 180)
+        upwards = math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) + 90)
+        distance = math.sqrt(x * x + y * y + z * z)
+        cell = around, upwards
+        nearest[cell] = min(nearest.get(cell, math.inf), distance)
+        rows.append((cell, distance))
+    hidden = sum(distance > 1 + 1.05 * nearest[cell] for cell, distance in rows)
+    assert hidden > 100
+    assert hidden_share(points.reshape(-1)) == hidden / 3000
 
 
 def test_a_fan_is_even_from_its_tip_only():
