@@ -150,6 +150,8 @@ def test_only_the_row_and_the_modules_of_a_library_name_it():
     namers = {
         path.relative_to(package).as_posix()
         for path in package.rglob("*.py")
+        # To parse a file takes longer than to read it.
+        if "openvino" in path.read_text("utf-8").lower()
         if any("openvino" in text.lower() for text in texts(path))
     }
     engines = "core/engines"
