@@ -2,6 +2,7 @@
 """Fixtures shared by all tests."""
 
 import gc
+import logging
 import os
 import signal
 from collections.abc import Callable, Generator, Iterator
@@ -55,6 +56,19 @@ def pytest_make_collect_report(
     if COLLECTS_BACKWARDS and isinstance(collector, pytest.Directory):
         report.result.reverse()
     return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None, object, object]:
+    """Leave the logger as it was, which a command line sets up as soon as it is parsed."""
+    logger = logging.getLogger("salsanext_cli")
+    level = logger.level
+    handlers = [*logger.handlers]
+    try:
+        return (yield)
+    finally:
+        logger.setLevel(level)
+        logger.handlers[:] = handlers
 
 
 @pytest.hookimpl(tryfirst=True)
