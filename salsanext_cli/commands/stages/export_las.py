@@ -104,6 +104,7 @@ def export_las(
     if isinstance(earlier, ExportLasSettings) and earlier.frames not in (None, settings.frames):
         refuse_ignored_frames(chosen.listed)
     is_outdated = isinstance(earlier, ExportLasSettings) and not earlier.is_of_inputs_of(settings)
+    frames = frames_beside(chosen.scans)  # Read before outdated clouds are removed
     run = output_run(
         out,
         stage,
@@ -121,7 +122,7 @@ def export_las(
             classes=query.classes,
             labels=chosen.labels,
             compressed=compressed,
-            frames=frames_beside(chosen.scans),
+            frames=frames,
         )
         outcome = run_over_scans(task, chosen.scans, options, is_done=output.is_done, writes=[out])
     log.log(NOTICE, "classified: %s", out / "sequences/*" / folder)

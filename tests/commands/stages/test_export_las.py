@@ -142,6 +142,12 @@ def test_picked_scans_without_their_frames_are_refused(predicted):
         assert "`pick` again" in caught.value.hint
     path.write_bytes(encode_frames({"000000": frame}))
     assert export_las(predicted.out).done == 3
+    path.unlink()
+    before = files_below(predicted.out)
+    refused(FormatError, path, export_las, predicted.out)
+    assert files_below(predicted.out) == before, "earlier clouds stay"
+    path.write_bytes(encode_frames({"000000": frame}))
+    assert export_las(predicted.out).done == 0
     local = read_scan(predicted.scan()).points
     np.testing.assert_allclose(cloud(predicted).xyz, local + np.array(frame), atol=1e-4, rtol=0)
     path.unlink()
