@@ -21,7 +21,7 @@ from salsanext_cli.core.uncertainty.kinds import DEFAULT_UNCERTAINTIES, UNCERTAI
 from salsanext_cli.core.wording import argument, command, setting
 from salsanext_cli.io.files.reading import is_folder, present
 from salsanext_cli.io.formats import read_scan
-from salsanext_cli.io.formats.recordings import reachable_recording, recording_of
+from salsanext_cli.io.formats.recordings import recording_of
 from salsanext_cli.runs.results.folder_names import (
     PREDICTION_STAGES,
     SINGLE_SCAN_STAGES,
@@ -30,10 +30,15 @@ from salsanext_cli.runs.results.folder_names import (
 from salsanext_cli.runs.results.making_commands import PREDICT_VOTES, making_hint
 from salsanext_cli.runs.results.manifest import Manifest, ScanSource
 from salsanext_cli.runs.results.merged_labels import are_in_merged_classes, hint_for_error
-from salsanext_cli.runs.results.moved_scans import recorded_scans, scans_of_renamed
+from salsanext_cli.runs.results.moved_scans import (
+    recorded_scans,
+    scans_beside,
+    scans_of_data_set,
+    scans_of_renamed,
+)
 from salsanext_cli.runs.results.output_paths import find_outputs, output_path, with_outputs
 from salsanext_cli.runs.results.provenance import Provenance
-from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
+from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.results.recorded_origins import sensor_of_result
 from salsanext_cli.runs.results.scan_results import (
     PointLabels,
@@ -44,7 +49,6 @@ from salsanext_cli.runs.results.scan_results import (
 )
 from salsanext_cli.runs.scans.layouts import SCAN_FOLDER
 from salsanext_cli.runs.scans.scan_file import ScanFile, require_unique_stems
-from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
 from salsanext_cli.runs.scans.selection import (
     MissingResults,
@@ -155,34 +159,26 @@ class ResultFolder:
         return NoInputError(self.root, "is a data set", "a folder with results", hint)
 
     def _scans_of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
-        """Find the scans of a sequence: those that were recorded, else those of the data set.
+        """Find the scans of a sequence: those that were recorded, else those of the data set."""
+        scans: list[ScanFile] = []
+        if source and not self.dataset:
+            scans = recorded_scans(source, sequence)
+        if not scans:
+            scans = scans_of_data_set(self.dataset, sequence, is_recorded=source is not None)
+        if not scans and source and not self.dataset:
+            scans = scans_beside(self.root, sequence)
+        if not scans:
+            raise self._no_scans(sequence, source)
+        return scans
 
-        Only scans that no run recorded are looked for in the current folder: others of their names
-        may be there while the recorded ones are out of reach.
-        """
-        folder = Path(source.folder) if source else None
-        if (
-            source
-            and folder
-            and not self.dataset
-            and (is_folder(folder) or reachable_recording(folder))
-        ):
-            scans = recorded_scans(folder, sequence, source.suffixes)
-            if scans:
-                return scans
-        variable = os.environ.get(DATASET_VARIABLE, "")
-        root = self.dataset or Path(variable)
-        if self.dataset or variable or source is None:
-            scan_folder = root / "sequences" / sequence / SCAN_FOLDER
-            if is_folder(scan_folder):
-                return find_scans(scan_folder, unique=False)
-            if is_folder(root if self.dataset else root / "sequences"):
-                return find_scans(root, [sequence], unique=False)
-        if is_folder(self.root / "sequences" / sequence / SCAN_FOLDER):
-            raise self._is_data_set()
-        problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
+    def _no_scans(self, sequence: str, source: ScanSource | None) -> NoInputError:
+        """Return the error of a sequence whose scans were not found."""
+        if source is None and scans_beside(self.root, sequence):
+            return self._is_data_set()
+        folder = self.dataset or (Path(source.folder) if source else Path().absolute())
+        problem = f"no scans of it in {folder}"
         hint = f"give with {argument('dataset')} the folder that contains sequences/"
-        raise NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
+        return NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without predictions by whether the stage was asked for them."""

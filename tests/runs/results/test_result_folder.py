@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Results and their scans: located, read, refused."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scans import SMALL, make_scan, refused, write_array, write_bin, write_sequence
@@ -66,6 +69,22 @@ def test_recorded_scans_are_not_looked_for_in_the_current_folder(world, monkeypa
     assert "dataset" in caught.value.hint
     monkeypatch.setenv("SALSANEXT_DATASET", str(moved))
     assert ResultFolder(world.out).scans() == find_scans(moved)
+
+
+def test_scans_are_found_beside_results_that_were_moved_together_with_them(world, monkeypatch):
+    ask(replace(world, out=world.data), find_scans(world.data))
+    replace(world, out=world.data).predict_by_hand()
+    monkeypatch.delenv("SALSANEXT_DATASET", raising=False)
+    moved = world.data.rename(world.data.with_name("moved"))
+    assert ResultFolder(moved).scans() == find_scans(moved)
+    nowhere = moved.with_name("nowhere")
+    caught = refused(NoInputError, moved / "sequences/00", ResultFolder(moved, nowhere).scans)
+    assert str(nowhere) in caught.value.problem
+    (moved / "predict.json").unlink()
+    caught = refused(NoInputError, moved, ResultFolder(moved).scans)
+    assert "is a data set" in caught.value.problem
+    monkeypatch.chdir(moved)
+    assert ResultFolder(Path()).scans() == find_scans(moved)
 
 
 def test_scans_of_unrecorded_results_are_in_the_working_directory(world, monkeypatch):
