@@ -10,28 +10,31 @@ from pathlib import Path
 from salsanext_cli.commands.jobs.fuse_task import FuseTask
 from salsanext_cli.commands.jobs.plans.prepared_run import PreparedRun
 from salsanext_cli.commands.jobs.plans.run_plan import RunPlan
-from salsanext_cli.core.errors import OutputError, SalsanextError, UsageError
+from salsanext_cli.core.errors import SalsanextError, UsageError
 from salsanext_cli.core.fusion.drive import Drive
 from salsanext_cli.core.fusion.reach import FusionReach
 from salsanext_cli.core.fusion.window import warn_without_movable_classes
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.optional_packages import import_extra
-from salsanext_cli.core.wording import argument, setting
+from salsanext_cli.core.wording import setting
 from salsanext_cli.runs.drives.by_sequence import by_sequence
 from salsanext_cli.runs.drives.drive_of_run import drive_of_run, foresee_drive
+from salsanext_cli.runs.drives.earlier_fusion import other_scans
 from salsanext_cli.runs.drives.fusible_results import FusibleResults, fusible_results, sequences_of
 from salsanext_cli.runs.drives.scans_of_drive import drive_findings
+from salsanext_cli.runs.drives.voting_places import MovedFolder, VotingPlaces, voting_places
 from salsanext_cli.runs.fit.pose_files import poses_beside, readings_of
 from salsanext_cli.runs.loop.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.runs.results.folder_names import DISAGREEMENT, FUSED
-from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
-from salsanext_cli.runs.results.scan_places import MovedFolder, ScanPlaces, scan_places
+from salsanext_cli.runs.results.output_run import OutputRun
+from salsanext_cli.runs.results.query import ResultQuery
 from salsanext_cli.runs.scans.scan_file import ScanFile, drive_order
 from salsanext_cli.runs.scans.selection import scans_of
 from salsanext_cli.runs.summary.recorded_summary import recorded_summary
 from salsanext_cli.runs.summary.run_summary import RunSummary
 
 FOLDERS_OF_VOTES = (DISAGREEMENT, "views")
+FOLDERS_OF_LABELS = (*FOLDERS_OF_VOTES, "predictions")
 
 log = logging.getLogger(__name__)
 
@@ -191,11 +194,14 @@ def _prepared(
     sequences = sequences_of(options.shard.select(fusible.scans))
     # All scans of a drive vote, not only the selected ones.
     voting = [file for name in fusible.sequences for file in fusible.members[name]]
+    written = _written(fusible, out, target, options)
     places = {
-        folder: scan_places(folder, voting, overwrite=options.overwrite) for folder in (out, target)
+        folder: voting_places(folder, voting, written, overwrite=options.overwrite)
+        for folder in (out, target)
     }
-    _require_recorded(out, places[out])
-    _require_recorded(target, places[target], "use another folder for the fused labels")
+    for folder, places_of_folder in places.items():
+        if places_of_folder.other is not None:
+            raise other_scans(folder, places_of_folder.other, out, target, query)
     _log_moves(places)
     return PreparedFusion(
         fusible=fusible,
@@ -209,7 +215,7 @@ def _prepared(
             folders=FOLDERS_OF_VOTES,
             overwrite=options.overwrite,
             records_scans=places[out].are_recorded,
-            moved=places[out].moved_to,
+            moved=places[out].moved,
         ),
         labels=PreparedRun(
             out=target,
@@ -217,39 +223,30 @@ def _prepared(
             listed=fusible.listed,
             scans=fusible.scans,
             recorded=fusible.settings_of_labels(reach, target),
-            folders=(*FOLDERS_OF_VOTES, "predictions"),
+            folders=FOLDERS_OF_LABELS,
             overwrite=options.overwrite,
             records_scans=places[target].are_recorded,
-            moved=places[target].moved_to,
+            moved=places[target].moved,
         ),
     )
 
 
-def _require_recorded(folder: Path, places: ScanPlaces, hint: str = "") -> None:
-    """Refuse scans that may be others than those of the results in a folder.
-
-    `hint`: what to do; by default to use the recorded scans, which are still there.
-    """
-    other = places.other
-    if other is None:
-        return
-    if not hint:
-        hint = (
-            f"omit {argument('dataset')} and {DATASET_VARIABLE}, which are for scans that are gone"
-        )
-        if other.was_moved:
-            hint = (
-                f"give their data set, or compute the votes again with {setting('overwrite', True)}"
-            )
-    problem = f"has results of {other.recorded}, which is still there, not of {other.now}"
-    raise OutputError(folder, problem, "the same scans", hint)
+def _written(
+    fusible: FusibleResults, out: Path, target: Path, options: RunOptions
+) -> list[ScanFile]:
+    """Return the scans of the shard whose votes the run writes."""
+    overwrite = options.overwrite
+    votes = OutputRun(out, "fuse", folders=FOLDERS_OF_VOTES, overwrite=overwrite)
+    labels = OutputRun(target, "fuse", folders=FOLDERS_OF_LABELS, overwrite=overwrite)
+    scans = options.shard.select(fusible.scans)
+    return [scan for scan in scans if not (votes.is_done(scan) and labels.is_done(scan))]
 
 
-def _log_moves(places: Mapping[Path, ScanPlaces]) -> None:
+def _log_moves(places: Mapping[Path, VotingPlaces]) -> None:
     """Print where moved scans of folders of results are; each move once."""
     logged: set[MovedFolder] = set()
     for folder, places_of_folder in places.items():
-        for move in places_of_folder.moved.values():
+        for move in places_of_folder.moves:
             if move not in logged:
                 text = "%s: scans of %s, which are no longer there, are taken from %s"
                 log.log(NOTICE, text, folder, move.before, move.now)

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Errors of a fusion beside results of an earlier one, with the command that replaces them."""
 
+import os
 import shlex
+from itertools import count
 from pathlib import Path
 
 from salsanext_cli.core.errors import OutputError
 from salsanext_cli.core.wording import argument, command, setting
+from salsanext_cli.io.files.reading import present
+from salsanext_cli.runs.drives.voting_places import OtherScan
 from salsanext_cli.runs.results.output_run import OutputRun
+from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
 
 
 def other_drive(record: Path, single: OutputRun) -> OutputError:
@@ -26,6 +31,50 @@ def earlier_fusion(single: OutputRun, target: Path, sequence: str) -> OutputErro
     fused = _overwriting(single.root, target, sequence)
     hint = f"run {fused} to replace them; the labels in the other folder stay"
     return OutputError(single.root, problem, hint=hint)
+
+
+def other_scans(
+    folder: Path, other: OtherScan, out: Path, target: Path, query: ResultQuery
+) -> OutputError:
+    """Return the error of scans that may be others than those of the results in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder with results, `out` or `target`.
+    other : OtherScan
+        One of the scans.
+    out, target : Path
+        Folder with labels of single scans, and that of the fused labels.
+    query : ResultQuery
+        Choice of the scans and their data set.
+
+    Returns
+    -------
+    OutputError
+    """
+    problem = f"has results of {other.before}, which is still there, not of {other.now}"
+    hint = f"omit {argument('dataset')} and {DATASET_VARIABLE}, which are for scans that are gone"
+    fuse = _into_new_folder(out, target, query)
+    if folder == target:
+        hint = f"run {fuse}, with another folder for the fused labels"
+    elif other.has_voted:
+        hint = f"give their data set with {argument('dataset')}, or vote again: run {fuse}"
+    return OutputError(folder, problem, "the same scans", hint)
+
+
+def _into_new_folder(out: Path, target: Path, query: ResultQuery) -> str:
+    """Return the command that fuses the chosen sequences into a folder that is not there yet."""
+    candidates = (Path(f"{os.path.normpath(target)}-{number}") for number in count(2))
+    new = next(path for path in candidates if not present(path))
+    settings = []
+    if query.dataset:
+        settings.append(setting("dataset", query.dataset))
+    if query.selection.sequences:
+        settings.append(setting("sequences", ",".join(query.selection.sequences)))
+    settings.append(setting("overwrite", True))
+    words = shlex.join(["salsanext", "fuse", str(out), str(new)])
+    return f"`{command(words, *settings)}`"
 
 
 def _overwriting(out: Path, target: Path, sequence: str) -> str:

@@ -18,7 +18,7 @@ from salsanext_cli.runs.results.repeated_settings import (
     settings_of_run,
 )
 from salsanext_cli.runs.results.scan_arguments import scan_arguments
-from salsanext_cli.runs.results.scan_places import PlaceState, moved_data_set, scan_places
+from salsanext_cli.runs.results.scan_places import PlaceState, moved_data_set, place_state
 from salsanext_cli.runs.scans.scan_file import ScanFile
 
 UNKNOWN_DATA_SET = "DATASET"
@@ -68,7 +68,7 @@ class MakingCommand:
             words += arguments.sources
             settings += arguments.settings()
             settings += settings_of_run(Manifest(out), self.omitted)
-        elif scan_places(out, scans).state is PlaceState.MOVED:
+        elif place_state(out, scans) is PlaceState.MOVED:
             data_set = moved_data_set(out, scans) or UNKNOWN_DATA_SET
             settings.append(setting("dataset", data_set))
         if self.stage == "predict":
@@ -89,7 +89,7 @@ class MakingCommand:
 
         A folder takes no further results of these, since they may be others of the same names.
         """
-        if self.stage == "fuse" or scan_places(out, scans).are_recorded:
+        if self.stage == "fuse" or place_state(out, scans) is PlaceState.RECORDED:
             return out
         return Path(f"{os.path.normpath(out)}-{self.stage}")
 

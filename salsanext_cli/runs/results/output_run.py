@@ -209,8 +209,7 @@ class OutputRun(OwnedFolder):
             settings=settings,
             writes=tuple(sorted({*continued.writes, *new.writes})),
             scans=merged_sources((continued.scans, new.scans)),
-            # Results that exist were computed with the scans of the earlier places.
-            moved={**new.moved, **continued.moved, **(new.moved if self.overwrite else {})},
+            moved={**continued.moved, **new.moved},
             foreign=tuple(sorted({*continued.foreign, *names})),
         )
 
@@ -324,7 +323,8 @@ def output_run(
     record_scans : bool
         Whether to record where the scans are; not for a stage on the scans of an earlier one.
     moved : mapping of str to str
-        Folder by sequence of scans that were moved since an earlier stage recorded them.
+        Folder by sequence of scans that were moved since an earlier stage recorded them, to be
+        recorded instead of that of an earlier run.
     weights : Path, optional
         File that the user named, whose path is recorded.
     options : mapping of str to object

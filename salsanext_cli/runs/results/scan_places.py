@@ -2,8 +2,7 @@
 """Where scans with results are, compared with where they were recorded."""
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 from enum import Enum, auto
 from pathlib import Path
 
@@ -26,42 +25,7 @@ class PlaceState(Enum):
     OTHER = auto()  # Elsewhere, while a recorded file is still there: maybe of another data set
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MovedFolder:
-    """Folder of scans that was moved since results were computed."""
-
-    before: Path
-    now: Path
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OtherScan:
-    """Scan that may be another one than the recorded scan of its name, which is still there."""
-
-    recorded: Path
-    now: Path
-    # Whether votes were computed with the recorded scan after the scans of the labels were moved
-    was_moved: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanPlaces:
-    """Places of scans with results."""
-
-    state: PlaceState
-    # By sequence, if the state is `MOVED`
-    moved: Mapping[str, MovedFolder] = field(default_factory=dict)
-    # Folder of each sequence that was moved now or when its votes were computed, to be recorded
-    moved_to: Mapping[str, str] = field(default_factory=dict, compare=False)
-    other: OtherScan | None = None  # The first one, if the state is `OTHER`
-
-    @property
-    def are_recorded(self) -> bool:
-        """Whether every scan is where it was recorded."""
-        return self.state is PlaceState.RECORDED
-
-
-def scan_places(out: Path, scans: Iterable[ScanFile], *, overwrite: bool = False) -> ScanPlaces:
+def place_state(out: Path, scans: Iterable[ScanFile]) -> PlaceState:
     """Compare the places of scans with those that the runs in a folder recorded.
 
     Parameters
@@ -70,39 +34,19 @@ def scan_places(out: Path, scans: Iterable[ScanFile], *, overwrite: bool = False
         Folder with results.
     scans : iterable of ScanFile
         Scans where they are now. Those that no run recorded are where they belong.
-    overwrite : bool
-        Whether votes are computed again, so that the places of the scans that voted do not matter.
 
     Returns
     -------
-    ScanPlaces
+    PlaceState
     """
-    records = _RecordedPlaces(out)
-    moved: dict[str, MovedFolder] = {}
-    moved_to: dict[str, str] = {}
-    is_linked = False
+    records = RecordedPlaces(out)
+    states = {PlaceState.RECORDED}
     for scan in scans:
-        places = [records.recorded_place(scan)]
-        voting_places = records.voting_places(scan)
-        if voting_places:
-            moved_to[scan.sequence] = str(scan.path.parent)
-        if not overwrite:
-            places += voting_places
-        for place in places:
-            state = records.state(place, scan.path)
-            if state is PlaceState.OTHER:
-                was_moved = place != places[0]
-                other = OtherScan(recorded=place, now=scan.path, was_moved=was_moved)
-                return ScanPlaces(state=state, other=other)
-            if state is PlaceState.MOVED:
-                folder = MovedFolder(before=place.parent, now=scan.path.parent)
-                moved.setdefault(scan.sequence, folder)
-                moved_to[scan.sequence] = str(scan.path.parent)
-            is_linked = is_linked or state is PlaceState.LINKED
-    state = PlaceState.LINKED if is_linked else PlaceState.RECORDED
-    if moved:
-        state = PlaceState.MOVED
-    return ScanPlaces(state=state, moved=moved, moved_to=moved_to)
+        state = records.state(records.recorded_place(scan), scan.path)
+        if state is PlaceState.OTHER:
+            return state
+        states.add(state)
+    return max(states, key=lambda state: state.value)
 
 
 def folders_now(records: Manifest, scans: Iterable[ScanFile]) -> dict[str, str]:
@@ -137,7 +81,7 @@ def moved_data_set(out: Path, scans: Sequence[ScanFile]) -> Path | None:
         Root of the data set of the first moved scan, else the common folder of all drives, since a
         stage on the results of all drives finds none of them in the folder of another.
     """
-    records = _RecordedPlaces(out)
+    records = RecordedPlaces(out)
     moved_scan = next(scan for scan in scans if records.recorded_place(scan) != scan.path)
     folders = [Path(folder) for folder in folders_now(Manifest(out), [moved_scan]).values()]
     if not all(is_folder(folder) or reachable_recording(folder) for folder in folders):
@@ -150,26 +94,17 @@ def moved_data_set(out: Path, scans: Sequence[ScanFile]) -> Path | None:
     return common if depth <= MAX_DEPTH_OF_DRIVES else None
 
 
-class _RecordedPlaces:
+class RecordedPlaces:
     """Places of scans in the records of a folder; each folder is asked for a recording once."""
 
     def __init__(self, out: Path) -> None:
-        manifest = Manifest(out)
-        self._sources = manifest.sources()
-        self._moved: dict[str, str] = {}
-        for record in manifest.records().values():
-            self._moved.update(record.moved)
+        self._sources = Manifest(out).sources()
         self._recordings: dict[Path, Path | None] = {}
 
     def recorded_place(self, scan: ScanFile) -> Path:
         """Return where a scan was recorded; its own path if it was not."""
         source = self._sources.get(scan.sequence)
         return source.path(scan) if source else scan.path
-
-    def voting_places(self, scan: ScanFile) -> list[Path]:
-        """Return where a scan was when its votes were computed, if it had been moved then."""
-        folder = self._moved.get(scan.sequence)
-        return [Path(folder, self.recorded_place(scan).name)] if folder else []
 
     def state(self, recorded: Path, now: Path) -> PlaceState:
         """Return the state of one scan."""

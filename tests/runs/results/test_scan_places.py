@@ -2,6 +2,7 @@
 """Places of scans: scans that were moved are fused, those of other data sets are not."""
 
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +19,12 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.errors import NoInputError, OutputError
 from salsanext_cli.core.notices import NOTICE
 from salsanext_cli.core.wording import spelled
+from salsanext_cli.runs.drives.voting_places import MovedFolder, voting_places
 from salsanext_cli.runs.loop.run_options import RunOptions, Shard
 from salsanext_cli.runs.results.making_commands import FUSE, making_hint
+from salsanext_cli.runs.results.output_paths import find_outputs
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
-from salsanext_cli.runs.results.scan_places import MovedFolder, PlaceState, ScanPlaces, scan_places
+from salsanext_cli.runs.results.scan_places import PlaceState, place_state
 from salsanext_cli.runs.scans.scan_file import ScanFile
 from salsanext_cli.runs.scans.scan_search import find_scans
 from salsanext_cli.runs.scans.scan_selection import ScanSelection
@@ -146,7 +149,7 @@ def test_a_place_that_cannot_be_reached_counts_as_gone(voted, tmp_path, monkeypa
     voted.data.symlink_to(voted.data)
     monkeypatch.delenv(DATASET_VARIABLE, raising=False)
     scans = find_scans(moved)
-    assert scan_places(voted.out, scans).state is PlaceState.MOVED
+    assert place_state(voted.out, scans) is PlaceState.MOVED
     assert dataset_of_hint(voted, scans) == str(moved)
     gone = ScanFile(sequence="08", stem="000000", path=voted.scan())
     assert making_hint("label", voted.out, [gone])
@@ -169,7 +172,7 @@ def test_the_places_of_many_scans_take_few_calls_of_the_system(world, tmp_path, 
         return status(path, **how)
 
     monkeypatch.setattr(Path, "stat", counted)
-    assert scan_places(world.out, many).state is PlaceState.MOVED
+    assert place_state(world.out, many) is PlaceState.MOVED
     assert len(calls) < 4 * len(many)
 
 
@@ -196,10 +199,10 @@ def test_a_link_to_the_recorded_scans_is_no_other_place(voted, tmp_path, caplog)
     assert "no longer there" not in caplog.text
     assert "moved" not in json.loads((voted.out / "fuse.json").read_bytes())
     assert fuse_results(voted.out).skipped == 3
-    assert scan_places(voted.out, find_scans(link)) == ScanPlaces(state=PlaceState.LINKED)
+    assert place_state(voted.out, find_scans(link)) is PlaceState.LINKED
 
 
-def test_each_moved_folder_is_named_with_the_results_that_recorded_it(voted, tmp_path, caplog):
+def test_each_moved_data_set_is_named_with_the_results_that_recorded_it(voted, tmp_path, caplog):
     target = voted.out / "fused"
     first = voted.data.rename(tmp_path / "first")
     fuse_results(voted.out, query=ResultQuery(dataset=first))
@@ -207,30 +210,116 @@ def test_each_moved_folder_is_named_with_the_results_that_recorded_it(voted, tmp
     with caplog.at_level(NOTICE):
         assert fuse_results(voted.out, query=ResultQuery(dataset=second)).skipped == 3
     lines = [text for text in caplog.messages if "no longer there" in text]
-    expected = []
-    for out, before in ((voted.out, voted.data), (target, first)):
-        for name in ("00", "08"):
-            folder = f"sequences/{name}/velodyne"
-            words = f"scans of {before / folder}, which are no longer there, are taken from"
-            expected.append(f"{out}: {words} {second / folder}")
-    assert lines == expected
+    words = "which are no longer there, are taken from"
+    assert lines == [
+        f"{voted.out}: scans of {voted.data}, {words} {second}",
+        f"{target}: scans of {first}, {words} {second}",
+    ]
+
+
+def test_moved_folders_of_other_layouts_are_named_themselves(world, tmp_path):
+    scan = ScanFile(sequence="drive", stem="1", path=tmp_path / "old/drive/1.pcd")
+    ask(world, [scan])
+    moved = replace(scan, path=tmp_path / "new/drive/1.pcd")
+    places = voting_places(world.out, [moved], [moved], overwrite=False)
+    assert places.moves == [MovedFolder(before=scan.path.parent, now=moved.path.parent)]
+    assert places.moved == {"drive": str(moved.path.parent)}
+
+
+def fused_at(world, dataset, *, target=None, limit=None, overwrite=False):
+    """Fuse with the scans of a data set."""
+    query = ResultQuery(dataset=dataset, selection=ScanSelection(limit=limit))
+    options = RunOptions(overwrite=overwrite)
+    return fuse_results(world.out, target, query=query, options=options)
+
+
+def test_a_hint_after_votes_were_moved_back_names_the_recorded_scans(voted, tmp_path):
+    moved = voted.data.rename(tmp_path / "moved")
+    assert fused_at(voted, moved).done == 3
+    moved.rename(voted.data)
+    for path in voted.out.rglob("disagreement/*.npy"):
+        path.unlink()
+    options = ("--colour", "disagreement")
+    missing = called("export-ply", voted.out, *options, status=1)
+    assert f"run `salsanext fuse {shlex.quote(str(voted.out))}` first" in missing.stderr
+
+
+def test_a_run_without_new_votes_records_no_place(voted, tmp_path):
+    assert fuse_results(voted.out).done == 3
+    mirror = shutil.copytree(voted.data, tmp_path / "mirror")
+    hidden = voted.data.rename(tmp_path / "unmounted")
+    assert fused_at(voted, mirror).skipped == 3
+    assert "moved" not in json.loads((voted.out / "fuse.json").read_bytes())
+    hidden.rename(voted.data)
+    assert fuse_results(voted.out).skipped == 3
+
+
+@pytest.fixture
+def mirrored(voted, tmp_path):
+    """Return the mirror of the data set with which votes were computed while it was away."""
+    mirror = shutil.copytree(voted.data, tmp_path / "mirror")
+    hidden = voted.data.rename(tmp_path / "unmounted")
+    assert fused_at(voted, mirror).done == 3
+    hidden.rename(voted.data)
+    return mirror
+
+
+def test_scans_at_the_place_of_their_votes_are_right(voted, mirrored, caplog):
+    with caplog.at_level(NOTICE):
+        assert fused_at(voted, mirrored).skipped == 3
+    assert "no longer there" not in caplog.text
+    next(voted.out.glob("sequences/08/uncertainty/disagreement/*.npy")).unlink()
+    assert fused_at(voted, mirrored).done == 1
+    assert "scans" not in json.loads((voted.out / "fuse.json").read_bytes())
+
+
+def test_votes_are_computed_again_by_the_command_of_the_hint(voted, mirrored):
+    with spelled(CommandLine()):
+        at_out = refused(OutputError, voted.out, fuse_results, voted.out).value.hint
+        caught = refused(OutputError, voted.out / "fused", fused_at, voted, None, overwrite=True)
+    assert "--dataset" in at_out
+    assert fused_at(voted, mirrored).skipped == 3, "also that works"
+    for hint in (at_out, caught.value.hint):
+        called(*shlex.split(hint.split("`")[1])[1:])
+    assert find_outputs(voted.out / "fused-2", "predictions")
+    assert fuse_results(voted.out, voted.out / "fused-2").skipped == 3
+
+
+def test_votes_of_a_sequence_are_replaced_at_another_place_only_together(voted, mirrored, tmp_path):
+    """The record has one place of each sequence."""
+    first = ResultQuery(selection=ScanSelection(sequences=("08",), limit=1))
+    overwrite = RunOptions(overwrite=True)
+    before = files_below(voted.out)
+    with spelled(CommandLine()):
+        caught = refused(
+            OutputError,
+            voted.out,
+            fuse_results,
+            voted.out,
+            tmp_path / "new",
+            query=first,
+            options=overwrite,
+        )
+    assert files_below(voted.out) == before
+    called(*shlex.split(caught.value.hint.split("`")[1])[1:])
+    moved = json.loads((voted.out / "fuse.json").read_bytes())["moved"]
+    assert moved == {
+        "00": str(mirrored / "sequences/00/velodyne"),
+        "08": str(voted.data / "sequences/08/velodyne"),
+    }
 
 
 def test_scans_are_moved_if_their_recorded_files_are_gone(world, tmp_path):
     scans = find_scans(world.data)
     ask(world, scans)
     copied = find_scans(shutil.copytree(world.data, tmp_path / "copy"))
-    assert scan_places(world.out, scans) == ScanPlaces(state=PlaceState.RECORDED)
-    assert scan_places(world.out, copied).state is PlaceState.OTHER
+    assert place_state(world.out, scans) is PlaceState.RECORDED
+    assert place_state(world.out, copied) is PlaceState.OTHER
     scans[0].path.unlink()
-    assert scan_places(world.out, copied).state is PlaceState.OTHER, (
-        "scans of another sequence are there"
-    )
-    move = MovedFolder(before=scans[0].path.parent, now=copied[0].path.parent)
-    places = scan_places(world.out, copied[:1])
-    assert places == ScanPlaces(state=PlaceState.MOVED, moved={"00": move})
+    assert place_state(world.out, copied) is PlaceState.OTHER, "scans of another sequence are there"
+    assert place_state(world.out, copied[:1]) is PlaceState.MOVED
     renamed = replace(copied[0], path=copied[0].path.with_suffix(".ply"))
-    assert scan_places(world.out, [renamed]).state is PlaceState.OTHER
+    assert place_state(world.out, [renamed]) is PlaceState.OTHER
 
 
 def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
@@ -245,11 +334,9 @@ def test_scans_of_a_recording_are_moved_if_it_is_gone(world, tmp_path):
         (tmp_path / "elsewhere/drive.bag/points/1", PlaceState.OTHER),
     ):
         scan = ScanFile(sequence="drive", stem="1", path=path)
-        assert scan_places(world.out, [scan]).state is state
+        assert place_state(world.out, [scan]) is state
     recording.unlink()
-    move = MovedFolder(before=recording / "points", now=scan.path.parent)
-    places = scan_places(world.out, [scan])
-    assert places == ScanPlaces(state=PlaceState.MOVED, moved={"drive": move})
+    assert place_state(world.out, [scan]) is PlaceState.MOVED
 
 
 def dataset_of_hint(world, scans) -> str:
