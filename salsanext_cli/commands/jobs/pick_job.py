@@ -11,7 +11,6 @@ from salsanext_cli.core.labelling import refine_labels
 from salsanext_cli.core.records import Origin, Origins
 from salsanext_cli.core.uncertainty.monte_carlo import Estimate
 from salsanext_cli.io.formats.kitti_labels import encode_labels
-from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
 from salsanext_cli.report.picked import picked_cloud
 from salsanext_cli.runs.annotation.picked_data_set import PickedDataSet
 from salsanext_cli.runs.annotation.scan_description import checked_sample
@@ -38,7 +37,7 @@ class PickJob:
     origins: Origins = field(default_factory=dict)  # Of registered scans with poses
     # Frames in files beside the scans, metres
     beside: Mapping[ScanFile, Origin] = field(default_factory=dict)
-    # Recorded frame of each picked scan, metres
+    # Recorded frame of each picked scan that could be read for it, metres
     recorded: Mapping[ScanFile, Origin] = field(default_factory=dict)
 
     def prepare(self, file: ScanFile) -> PreparedFile:
@@ -55,7 +54,7 @@ class PickJob:
         network = prepared.scan.network
         pixels = PixelPrediction.from_softmax(estimate.probabilities)
         labelled = refine_labels(prepared.scan, pixels, KnnParameters())
-        recorded = self.recorded.get(file, NO_SHIFT)
+        recorded = self.recorded.get(file)
         self.data_set.write_points(file, network.sensor, self.beside, recorded)
         cloud = picked_cloud(labelled, estimate.uncertainty.mutual_information, network.space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)

@@ -149,9 +149,12 @@ def pick(
             # Another run goes on with this choice.
             _require_places(prepared, labelling_tool, record)
         picked = prepared.files(record)
-        if record.frames is None:
-            frames = frames_of_copies(out, picked, network.sensor, beside)
-            record = data_set.record_frames(record, frames)
+        recorded = record.frames or {}
+        unrecorded = [scan for scan in picked if scan.name not in recorded]
+        if unrecorded:
+            frames = frames_of_copies(out, unrecorded, network.sensor, beside)
+            recorded = dict(sorted({**recorded, **frames}.items()))
+            record = data_set.record_frames(record, recorded)
         write = partial(
             PickJob,
             seed=seed,
@@ -159,7 +162,7 @@ def pick(
             data_set=data_set,
             origins=origins,
             beside=beside,
-            recorded=origins_of(record.frames or {}, picked),
+            recorded=origins_of(recorded, [scan for scan in picked if scan.name in recorded]),
         )
         task = sampling_task(write, resolved, network)
         outcome = _written(task, prepared, record, options)

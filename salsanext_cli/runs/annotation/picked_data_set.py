@@ -149,7 +149,11 @@ class PickedDataSet(OwnedFolder):
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
     def write_points(
-        self, file: ScanFile, sensor: Sensor, beside: Mapping[ScanFile, Origin], recorded: Origin
+        self,
+        file: ScanFile,
+        sensor: Sensor,
+        beside: Mapping[ScanFile, Origin],
+        recorded: Origin | None,
     ) -> None:
         """Write a scan as `.bin`, with the intensity in its file.
 
@@ -161,14 +165,18 @@ class PickedDataSet(OwnedFolder):
             Its sensor.
         beside : mapping of ScanFile to tuple of float
             Frames by `frames_beside`, metres.
-        recorded : tuple of float
-            Frame of the scan in the record of the run, metres.
+        recorded : tuple of float, optional
+            Frame of the scan in the record of the run, metres; None if it could not be read for it.
 
         Raises
         ------
         FormatError
-            If the scan has another frame now, so that its points would be elsewhere in the map.
+            If the scan has another frame now, so that its points would be elsewhere in the map, or
+            none is recorded.
         """
+        if recorded is None:
+            problem = "could not be read when the frames of picked scans were recorded"
+            raise FormatError(file.path, problem, hint="run the same command again")
         scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
         if frame_of(file, scan, beside) != recorded:
             problem = "has another frame in map coordinates than when it was picked"

@@ -31,7 +31,9 @@ class PickedFrame:
 
 
 PickedFrames = dict[str, PickedFrame | None]
-"""Frame of each picked scan by its name; None for a scan around its sensor."""
+"""Frame of each picked scan by its name; None for a scan around its sensor.
+
+Scans that could not be read for it have no entry."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +73,8 @@ def frames_of_copies(
 ) -> PickedFrames:
     """Return the frames of scans that an earlier version picked without recording them.
 
-    Frames in the data set are those of its points, also if the scans have others now.
+    Frames in the data set are those of its points, also if the scans have others now. Scans that
+    cannot be read have no entry, unless the data set has their frame.
 
     Parameters
     ----------
@@ -88,7 +91,7 @@ def frames_of_copies(
     -------
     dict of str to PickedFrame or None
     """
-    stated = dict.fromkeys(scans, NO_SHIFT)
+    stated: dict[ScanFile, Origin] = {}
     for scan in scans:
         # A scan that cannot be read is a failure of the run.
         with suppress(SalsanextError):
@@ -97,19 +100,21 @@ def frames_of_copies(
     for scan in scans:
         written = read_written_frames(root / "sequences" / scan.sequence / FRAMES)
         if scan.stem in written:
-            is_beside = stated[scan] == NO_SHIFT
+            is_beside = stated.get(scan, NO_SHIFT) == NO_SHIFT
             frames[scan.name] = PickedFrame(origin=written[scan.stem], is_beside=is_beside)
     return frames
 
 
 def sequences_without_file(frames: PickedFrames) -> set[str]:
     """Return the sequences in a map that need no file beside the scans, which state all frames."""
-    by_themselves: set[str] = set()
-    beside: set[str] = set()
-    for name, frame in frames.items():
-        if frame is not None:
-            (beside if frame.is_beside else by_themselves).add(name.rpartition("/")[0])
-    return by_themselves - beside
+    in_map = {name: frame for name, frame in frames.items() if frame is not None}
+    beside = {_sequence(name) for name, frame in in_map.items() if frame.is_beside}
+    return {_sequence(name) for name in in_map} - beside
+
+
+def _sequence(name: str) -> str:
+    """Return the sequence of the name of a scan."""
+    return name.rpartition("/")[0]
 
 
 def origins_of(frames: PickedFrames, scans: Iterable[ScanFile]) -> dict[ScanFile, Origin]:

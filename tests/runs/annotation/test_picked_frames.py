@@ -3,12 +3,16 @@
 
 import json
 
+import numpy as np
 import pytest
-from scans import refused
+from las_files import write_las
+from scans import make_scan, refused
 
+from salsanext_cli.commands.stages.pick import pick
 from salsanext_cli.core.errors import FormatError, OutputError
 from salsanext_cli.io.formats.survey.local_frame import NO_SHIFT
-from salsanext_cli.io.frames import FRAMES
+from salsanext_cli.io.frames import FRAMES, read_frames
+from salsanext_cli.runs.annotation import picked_frames as module
 from salsanext_cli.runs.annotation.picked_frames import (
     PickedFrame,
     origins_of,
@@ -67,3 +71,36 @@ def test_damaged_frames_in_a_record_are_refused(picked):
     record = picked.parents[2] / "pick.json"
     record.write_text('{"stage": "pick", "frames": {"08/000000": 3}}')
     refused(OutputError, record, require_recorded_frames, picked, {"000000"}, {})
+
+
+def test_a_frame_that_could_not_be_read_once_is_recorded_by_the_next_run(
+    world, tmp_path, monkeypatch
+):
+    """As of a scan on a network disk, picked by a version that recorded no frames."""
+    pytest.importorskip("laspy")
+    points = make_scan(1500).points + np.array(FRAME)
+    path = write_las(tmp_path / "drive/000000.las", points, offsets=FRAME)
+
+    def picking():
+        return pick(path, world.out, count=1, settings=world.network).outcome
+
+    assert picking().done == 1
+    record = world.out / "pick.json"
+    content = json.loads(record.read_text())
+    frames = content.pop("frames")
+    assert frames == {"drive/000000": {"origin": list(FRAME), "is_beside": False}}
+    record.write_text(json.dumps(content))
+    for name in (FRAMES, "velodyne/000000.bin"):  # As an interrupted run
+        (world.out / "sequences/drive" / name).unlink()
+    with monkeypatch.context() as patch:
+
+        def unread(*_):
+            raise FormatError(path, "cannot be read", "a scan")
+
+        patch.setattr(module, "read_scan", unread)
+        (failure,) = picking().failures
+        assert "again" in failure.hint
+        assert json.loads(record.read_text())["frames"] == {}
+    assert picking().done == 1
+    assert json.loads(record.read_text())["frames"] == frames
+    assert read_frames(world.out / "sequences/drive" / FRAMES) == {"000000": FRAME}
