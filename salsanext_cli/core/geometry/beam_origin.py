@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.core.compiled import argument, compiled
 from salsanext_cli.core.geometry.projection import arctan2
@@ -15,6 +16,8 @@ BIN_DEG = 0.02
 BINS = round(180 / BIN_DEG) + 1
 FINE_BINS = 3  # Width of a histogram average within a tooth of the comb
 COARSE_BINS = 51  # The same over several teeth
+MARGIN_BINS = COARSE_BINS // 2 + 1
+"""Empty bins at both ends of a histogram, so that each bin has as many on either side."""
 DISTANCES_M = (2.0, 60.0)  # Distances of points that show the origin of the beams
 FAR_M = 15.0  # Least distance of points that show its height at any position in the plane
 AHEAD_M = (-3.0, 3.0)  # Bounds of the sensor ahead of the origin of the files
@@ -165,12 +168,25 @@ def sharpness(points: Double, position: Double) -> float:
         About 1 without a comb.
     """
     coordinates = argument(points, np.float64).reshape(-1)
-    return float(sharpness_of_comb(coordinates, argument(position, np.float64)))
+    histogram = histogram_of_elevations(coordinates, argument(position, np.float64))
+    return float(sharpness_of_histogram(histogram))
 
 
 @compiled
-def sharpness_of_comb(points: Double, position: Double) -> float:
-    """Return the sharpness of points (3 N,) from a position (3,), point by point in metres."""
+def histogram_of_elevations(points: Double, position: Double) -> npt.NDArray[np.int64]:
+    """Return how many points have an elevation in each bin, from a position.
+
+    Parameters
+    ----------
+    points : (3 N,) float64
+        Coordinates in metres, point by point.
+    position : (3,) float64
+        Position in metres.
+
+    Returns
+    -------
+    (BINS + 2 MARGIN_BINS,) int64
+    """
     count = len(points) // 3
     bins = np.empty(count, np.int32)
     # Without branches the loop is vectorised.
@@ -182,20 +198,24 @@ def sharpness_of_comb(points: Double, position: Double) -> float:
         # A point that is not finite has no bin.
         is_finite = x * x + y * y + z * z < np.inf
         bins[i] = np.int32((elevation + 90) / BIN_DEG) if is_finite else -1
-    # Empty bins at both ends, so that each bin has as many on either side
-    margin = COARSE_BINS // 2 + 1
-    histogram = np.zeros(BINS + 2 * margin, np.int64)
+    histogram = np.zeros(BINS + 2 * MARGIN_BINS, np.int64)
     for i in range(count):
         if bins[i] >= 0:
-            histogram[bins[i] + margin] += 1
+            histogram[bins[i] + MARGIN_BINS] += 1
+    return histogram
+
+
+@compiled
+def sharpness_of_histogram(histogram: npt.NDArray[np.int64]) -> float:
+    """Return the sharpness of a histogram (BINS + 2 MARGIN_BINS,) of elevations."""
     fine = 0
     coarse = 0
     fine_squares = 0
     products = 0
-    for i in range(len(histogram) - margin):
+    for i in range(len(histogram) - MARGIN_BINS):
         fine += histogram[i + FINE_BINS // 2]
         coarse += histogram[i + COARSE_BINS // 2]
-        if i >= margin:
+        if i >= MARGIN_BINS:
             fine -= histogram[i - FINE_BINS // 2 - 1]
             coarse -= histogram[i - COARSE_BINS // 2 - 1]
             fine_squares += fine * fine
