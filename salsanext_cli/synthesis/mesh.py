@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +15,12 @@ from salsanext_cli.synthesis.presets import Material
 
 Array = npt.NDArray[np.float64]
 Rng = np.random.Generator
+Number = TypeVar("Number", bound=np.generic)
 BOX_FACES = np.array(
     [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]
     + [[2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
 )
+BOX_FACES.flags.writeable = False  # Shared by all boxes
 TO_X = np.array([1.0, 0.0, 0.0])
 TO_Z = np.array([0.0, 0.0, 1.0])
 
@@ -112,10 +114,16 @@ def faces(corners: Array, skin: Skin) -> Mesh:
     return Mesh.uniform(corners.reshape(-1, 3), triangles.reshape(-1, 3), skin)
 
 
+def _read_only(shared: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """Return an array that many objects share, which none of them can change now."""
+    shared.flags.writeable = False
+    return shared
+
+
 @cache
 def _fan(sides: int) -> npt.NDArray[np.int64]:
     """Return the triangles (T, 3) of a polygon around its first corner."""
-    return np.array([[0, k, k + 1] for k in range(1, sides - 1)])
+    return _read_only(np.array([[0, k, k + 1] for k in range(1, sides - 1)]))
 
 
 def loft(sections: Array, skin: Skin) -> Mesh:
@@ -135,8 +143,7 @@ def _quadrangles(rings: int, sides: int) -> npt.NDArray[np.int64]:
     d = index[1:]
     triangles = [np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))]
     joined: npt.NDArray[np.int64] = np.concatenate(triangles)
-    joined.flags.writeable = False
-    return joined
+    return _read_only(joined)
 
 
 def extrusion(stations: Array, sections: Array, skin: Skin) -> Mesh:
@@ -162,7 +169,7 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) 
 def _circle(sides: int) -> tuple[Array, Array]:
     """Return the cosines and sines (P, 1) of evenly spaced angles, from 0."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)[:, None]
-    return np.cos(angle), np.sin(angle)
+    return _read_only(np.cos(angle)), _read_only(np.sin(angle))
 
 
 # `numpy` has these functions for arrays of any shape: for a few points they take far longer.
@@ -207,7 +214,7 @@ def _unit_sphere() -> Array:
     longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     x = np.cos(latitude) * np.cos(longitude)
     y = np.cos(latitude) * np.sin(longitude)
-    return np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1)
+    return _read_only(np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1))
 
 
 def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> Mesh:

@@ -9,6 +9,10 @@ from hypothesis import strategies as st
 from salsanext_cli.synthesis.mesh import (
     Mesh,
     Skin,
+    _circle,
+    _fan,
+    _quadrangles,
+    _unit_sphere,
     box,
     disc,
     ellipsoid,
@@ -72,6 +76,16 @@ def test_merged_meshes_keep_their_triangles_and_skins():
     whole = merge(parts)
     np.testing.assert_array_equal(corners(whole), np.concatenate([corners(part) for part in parts]))
     np.testing.assert_array_equal(whole.labels, np.concatenate([part.labels for part in parts]))
+
+
+@pytest.mark.parametrize(
+    "shared",
+    [box((0, 0, 0), (1, 1, 1), SKIN).triangles, _fan(5), *_circle(5), _unit_sphere()]
+    + [_quadrangles(2, 4)],
+)
+def test_arrays_that_objects_share_cannot_be_changed(shared):
+    with pytest.raises(ValueError, match="read-only"):
+        shared[0] = 0
 
 
 def test_a_tube_a_prism_and_a_disc_have_the_surfaces_of_their_polygons():
