@@ -18,7 +18,7 @@ from salsanext_cli.runs.drives.scans_of_drive import drive_of_scans
 from salsanext_cli.runs.records.digest_files import recorded_scans
 from salsanext_cli.runs.records.stage_settings import FuseSettings, PredictSettings
 from salsanext_cli.runs.results.folder_names import SINGLE_SCAN_STAGES
-from salsanext_cli.runs.results.making_commands import PREDICT_VOTES
+from salsanext_cli.runs.results.making_commands import PREDICT_VOTES, words_of_target
 from salsanext_cli.runs.results.output_paths import with_outputs
 from salsanext_cli.runs.results.owned_folder import OwnedFolder
 from salsanext_cli.runs.results.query import ResultQuery
@@ -169,8 +169,9 @@ def _require_unrejected(out: Path) -> None:
 def _no_softmax(results: ResultFolder, scans: Sequence[ScanFile]) -> NoInputError:
     """Return the error of a folder without a softmax, with the command that writes one."""
     was_fused = results.manifest.record("fuse") is not None
-    predict = PREDICT_VOTES.text(results.root, scans, overwrite=was_fused)
-    following = PREDICT_VOTES.following(results.root, scans)
+    target = PREDICT_VOTES.target(results.root, scans)
+    predict = PREDICT_VOTES.text(results.root, scans, target=target, overwrite=was_fused)
+    following = words_of_target(results.root, target)
     hint = f"run `{predict}`, or with {setting('extras', ('probabilities',))}{following}"
     return NoInputError(results.root, "has no softmax of any scan", "votes or probabilities", hint)
 

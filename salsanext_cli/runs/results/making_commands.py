@@ -93,10 +93,10 @@ class MakingCommand:
             return out
         return Path(f"{os.path.normpath(out)}-{self.stage}")
 
-    def following(self, out: Path, scans: Sequence[ScanFile]) -> str:
-        """Return the words about the folder to give afterwards; empty for the same one."""
-        target = self.target(out, scans)
-        return "" if target == out else f", then give {shlex.quote(str(target))}"
+
+def words_of_target(out: Path, target: Path) -> str:
+    """Return the words about the folder to give afterwards; empty for the same one."""
+    return "" if target == out else f", then give {shlex.quote(str(target))}"
 
 
 PREDICT = MakingCommand(stage="predict")
@@ -123,8 +123,9 @@ MADE_BY = {
 def making_hint(column: str, out: Path, scans: Sequence[ScanFile] = ()) -> str:
     """Return the hint for a folder of results of scans without labels or a kind of uncertainty."""
     making = MADE_BY.get(column, PREDICT)
-    run = f"run `{making.text(out, scans)}`"
-    following = making.following(out, scans)
+    target = making.target(out, scans)
+    run = f"run `{making.text(out, scans, target=target)}`"
+    following = words_of_target(out, target)
     if column != "error":
         return f"{run}{following or ' first'}"
     record = network_record(Manifest(out))
