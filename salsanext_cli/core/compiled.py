@@ -63,6 +63,7 @@ def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
     try:
         pull()
     finally:
+        # A helper can only be cancelled as long as no thread has begun with it.
         begun = [helper for helper in helpers if not helper.cancel()]
         wait(begun)
     for helper in begun:

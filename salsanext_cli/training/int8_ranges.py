@@ -16,11 +16,12 @@ from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.run_folder import BEST, LAST
 from salsanext_cli.training.tuning.int8 import int8_inputs, int8_layers
 
-INT8_SCANS = 8  # Training scans that the ranges for int8 are fitted to
+INT8_SCANS = 8  # Training scans that the ranges of values in int8 are fitted to
 
 
 def add_int8_ranges(run: Path, source: Source, device: str) -> None:
     """Add ranges for int8 to the weights of a finished training, unless they are there."""
+    # Both weights are given the same images if they were trained with the same sensor.
     images_for: dict[Sensor, list[Float]] = {}
     for path in filter(Path.exists, (run / BEST, run / LAST)):
         module, card = read_weights(path)
@@ -35,7 +36,8 @@ def add_int8_ranges(run: Path, source: Source, device: str) -> None:
 
 def _images(source: Source, network: Network) -> list[Float]:
     """Return what a network is given of some scans: images (1, 5, H, W) float32."""
-    return [
-        read_prepared(file, network.for_sensor(source.sensor_of(file))).scan.input
-        for file in evenly_spaced(source.files, INT8_SCANS)
-    ]
+    images = []
+    for file in evenly_spaced(source.files, INT8_SCANS):
+        network_of_scan = network.for_sensor(source.sensor_of(file))
+        images.append(read_prepared(file, network_of_scan).scan.input)
+    return images

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Codes of all warnings about scans; docs/reference/warnings.md has thresholds and remedies.
 
-`core/measures/expected_accuracy.py` has what else withholds the estimated accuracy of a run.
+A warning is printed as the problem and the hint of its `Finding`, in the module that finds it:
+those of `core/checks/` for one scan, those of `runs/fit/`, `runs/drives/` and `runs/summary/` for a run.
+`core/measures/decision.py` has what a code means for the decision on the weights, and
+`core/measures/expected_accuracy.py` what else withholds the estimated accuracy of a run.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Whether an error means that memory ran out, and whether it was that of a GPU."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from salsanext_cli.core.engines.registry import LIBRARIES
 from salsanext_cli.core.errors import SalsanextError
@@ -14,8 +14,6 @@ NO_MEMORY = (
     "can't start new thread",
 )
 """Words of the system, of C++ and of Python when memory runs out; libraries add theirs."""
-
-NO_GPU_MEMORY = LIBRARIES["torch"].memory_errors  # On a CPU, torch has the words of C++
 
 OUT_OF_GPU_MEMORY = "OutOfMemoryError"  # Class of torch, which need not be imported
 
@@ -49,12 +47,20 @@ def _unexplained(error: BaseException | None) -> Iterator[BaseException]:
 def _means_memory(error: BaseException) -> bool:
     if isinstance(error, MemoryError) or _means_gpu_memory(error):
         return True
-    library_words = [words for library in LIBRARIES.values() for words in library.memory_errors]
-    text = str(error).lower()
-    return any(words in text for words in (*NO_MEMORY, *library_words))
+    words = [*NO_MEMORY]
+    for library in LIBRARIES.values():
+        words += library.memory_errors
+    return _contains_any(error, words)
 
 
 def _means_gpu_memory(error: BaseException) -> bool:
+    words: list[str] = []
+    for library in LIBRARIES.values():
+        words += library.gpu_memory_errors
+    return type(error).__name__ == OUT_OF_GPU_MEMORY or _contains_any(error, words)
+
+
+def _contains_any(error: BaseException, words: Iterable[str]) -> bool:
+    """Return whether the text of an error contains some words in lower case."""
     text = str(error).lower()
-    is_named = type(error).__name__ == OUT_OF_GPU_MEMORY
-    return is_named or any(words in text for words in NO_GPU_MEMORY)
+    return any(word in text for word in words)

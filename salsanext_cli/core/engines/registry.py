@@ -58,6 +58,8 @@ class Library:
         Installed packages whose version may change a label.
     memory_errors : tuple of str
         Words in its errors, in lower case, when memory runs out, besides those of C++ and Python.
+    gpu_memory_errors : tuple of str
+        The same if the memory is that of a GPU.
     failure : callable
         Returns why it does not start on this machine; an empty text if it does.
     """
@@ -70,6 +72,7 @@ class Library:
     precisions: tuple[str, ...]
     packages: tuple[str, ...]
     memory_errors: tuple[str, ...] = ()
+    gpu_memory_errors: tuple[str, ...] = ()
     failure: Callable[[], str] = starts
 
     def computes_on(self, device: str) -> bool:
@@ -102,7 +105,7 @@ LIBRARIES = {
         devices=("cpu", "cuda"),
         precisions=("float32", "bfloat16", "float16"),
         packages=("torch",),
-        memory_errors=(
+        gpu_memory_errors=(
             "cuda out of memory",
             "cuda error: out of memory",
             "cublas_status_alloc_failed",

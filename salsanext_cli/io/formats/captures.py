@@ -22,6 +22,7 @@ VELODYNE_BYTES = 1206
 BLOCK_STARTS = (b"\xff\xee", b"\xff\xdd")
 """First bytes of a block of the upper and lower lasers of a Velodyne sensor."""
 HESAI_PORT = 2368
+HESAI_START = b"\xee\xff"  # First bytes of a packet of later models than the Pandar40
 OUSTER_PORTS = (7502, 7503)
 ROBOSENSE_STARTS = (
     b"\x55\xaa\x05\x0a",
@@ -83,7 +84,7 @@ def _is_velodyne(packet: UdpPacket) -> bool:
 def _is_hesai(packet: UdpPacket) -> bool:
     # A Pandar40 has blocks like Velodyne's, in packets of another length.
     is_pandar40 = packet.port == HESAI_PORT and packet.payload[:2] == BLOCK_STARTS[0]
-    return is_pandar40 or packet.payload[:2] == b"\xee\xff"
+    return is_pandar40 or packet.payload.startswith(HESAI_START)
 
 
 def _is_robosense(packet: UdpPacket) -> bool:

@@ -43,7 +43,7 @@ def view(
             output.result(server.to_dict(), server.url)
             server.serve_forever()
     except KeyboardInterrupt:
-        ARRIVED.clear()
+        ARRIVED.clear()  # Ctrl-C is the usual end of this command, and no interruption.
         output.print("view: ended")
     summary.exit_with_status(server.failures, server.missing)
 
