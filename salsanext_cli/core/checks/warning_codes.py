@@ -2,7 +2,7 @@
 """Codes of all warnings about scans; docs/reference/warnings.md has thresholds and remedies.
 
 A warning is printed as the problem and the hint of its `Finding`, in the module that finds it:
-those of `core/checks/` for one scan, those of `runs/fit/`, `runs/drives/` and `runs/summary/` for a run.
+those of `core/checks/` for one scan, of `runs/fit/`, `runs/drives/` and `runs/summary/` for a run.
 `core/measures/decision.py` has what a code means for the decision on the weights, and
 `core/measures/expected_accuracy.py` what else withholds the estimated accuracy of a run.
 """
