@@ -178,6 +178,10 @@ class ResultFolder:
         folder = self.dataset or (Path(source.folder) if source else Path().absolute())
         problem = f"no scans of it in {folder}"
         hint = f"give with {argument('dataset')} the folder that contains sequences/"
+        fused = self.manifest.record("fuse")
+        moved = fused.moved.get(sequence) if fused else None
+        if moved:
+            hint = f"{hint}; `fuse` took the scans from {moved}"
         return NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:

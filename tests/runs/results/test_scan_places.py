@@ -273,6 +273,15 @@ def test_scans_at_the_place_of_their_votes_are_right(voted, mirrored, caplog):
     assert "scans" not in json.loads((voted.out / "fuse.json").read_bytes())
 
 
+def test_scans_that_are_gone_have_a_hint_that_names_those_of_their_votes(
+    voted, mirrored, monkeypatch
+):
+    monkeypatch.delenv(DATASET_VARIABLE, raising=False)
+    shutil.rmtree(voted.data)
+    missing = called("eval", voted.out, status=1)
+    assert f"took the scans from {mirrored / 'sequences/00/velodyne'}" in missing.stderr
+
+
 def test_votes_are_computed_again_by_the_command_of_the_hint(voted, mirrored):
     with spelled(CommandLine()):
         at_out = refused(OutputError, voted.out, fuse_results, voted.out).value.hint
