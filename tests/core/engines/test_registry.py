@@ -22,6 +22,7 @@ from salsanext_cli.commands.stages.predict import predict_scans
 from salsanext_cli.core.engines import device, machine, registry
 from salsanext_cli.core.engines.batches import BatchSize
 from salsanext_cli.core.engines.device import choose_precision
+from salsanext_cli.core.engines.memory import out_of_gpu_memory, out_of_memory
 from salsanext_cli.core.engines.registry import LIBRARIES, Library, choose_engine, computes_int8
 from salsanext_cli.core.engines.torch_backend import TorchBackend
 from salsanext_cli.core.errors import MissingDependency, UsageError
@@ -61,6 +62,7 @@ def third(monkeypatch):
         precisions=("float32",),
         packages=("third-library",),
         memory_errors=("arena exhausted",),
+        gpu_memory_errors=("no room on the board",),
     )
     monkeypatch.setitem(LIBRARIES, row.name, row)
     ThirdBackend.predicted.clear()
@@ -81,6 +83,15 @@ def test_a_third_library_predicts(third, weights):
     assert ThirdBackend.predicted == [1]
     assert not computes_int8("third")
     assert refused(UsageError, "engine", choose_engine, "third", "cuda:0")
+
+
+@pytest.mark.usefixtures("third")
+def test_its_words_tell_the_memory_of_a_gpu_from_that_of_the_host():
+    host = RuntimeError("Arena exhausted")
+    board = RuntimeError("There is no room on the board")
+    other = RuntimeError("another fault")
+    assert [out_of_memory(error) for error in (host, board, other)] == [True, True, False]
+    assert [out_of_gpu_memory(error) for error in (host, board, other)] == [False, True, False]
 
 
 def test_predict_takes_a_third_library_and_records_it(third, weights, tmp_path):
