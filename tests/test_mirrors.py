@@ -90,7 +90,6 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "runs/network_announcement.py": "commands/line/output/test_summary.py",
         "runs/network_settings.py": "commands/stages/test_predict.py",
         "runs/results/merged_labels.py": "commands/stages/test_stages_in_merged_classes.py",
-        "runs/drives/voting_places.py": "runs/results/test_scan_places.py",
         "runs/results/moved_scans.py": "runs/results/test_result_folder.py",
         "runs/results/repeated_settings.py": "runs/results/test_making_commands.py",
         "runs/summary/run_comparison.py": "commands/stages/test_compare.py",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Where scans that vote are, compared with where earlier votes were computed."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -38,7 +38,7 @@ class VotingPlaces:
     """Places of scans that vote."""
 
     are_recorded: bool = True  # Whether every scan is where it was recorded
-    moves: list[MovedFolder] = field(default_factory=list)  # Each one once
+    moves: list[MovedFolder] = field(default_factory=list)
     # Folder by sequence of the moved scans of the votes that a run writes, for its record
     moved: dict[str, str] = field(default_factory=dict)
     other: OtherScan | None = None  # The first one
@@ -74,8 +74,12 @@ def voting_places(
     folders_of_votes = {name: place for name, place in moved_before.items() if name in with_votes}
     to_write = {scan.sequence for scan in written}
     places = VotingPlaces()
+    sequences: set[str] = set()
+    first_moved: dict[str, ScanFile] = {}
+    places_before: dict[str, Path] = {}
     for scan in voting:
         name = scan.sequence
+        sequences.add(name)
         recorded = records.recorded_place(scan)
         state = records.state(recorded, scan.path)
         voting_place = recorded
@@ -89,13 +93,14 @@ def voting_places(
             before = voting_place if has_voted else recorded
             places.other = OtherScan(before=before, now=scan.path, has_voted=has_voted)
             return places
-        if PlaceState.MOVED in states:
-            before = recorded if state is PlaceState.MOVED else voting_place
-            _add_move(places.moves, before, scan)
+        if PlaceState.MOVED in states and name not in first_moved:
+            first_moved[name] = scan
+            places_before[name] = recorded if state is PlaceState.MOVED else voting_place
         places.are_recorded = places.are_recorded and recorded == scan.path
         is_new_place = name in moved_before or state not in AT_PLACE
         if name in to_write and name not in folders_of_votes and is_new_place:
             places.moved[name] = str(scan.path.parent)
+    places.moves = _moves(first_moved, places_before, is_every=len(first_moved) == len(sequences))
     return places
 
 
@@ -105,12 +110,38 @@ def _sequences_with_votes(folder: Path, replaced: Iterable[ScanFile]) -> set[str
     return {name[0] for name in find_outputs(folder, DISAGREEMENT) if name not in names}
 
 
-def _add_move(moves: list[MovedFolder], place: Path, scan: ScanFile) -> None:
-    """Add the move of a scan from a place: that of its data set if the rest of the path stays."""
-    move = MovedFolder(before=place.parent, now=scan.path.parent)
+def _moves(
+    scans: Mapping[str, ScanFile], places_before: Mapping[str, Path], *, is_every: bool
+) -> list[MovedFolder]:
+    """Return the moved data set if all sequences were moved with it, else their folders.
+
+    Parameters
+    ----------
+    scans : mapping of str to ScanFile
+        A moved scan of each moved sequence.
+    places_before : mapping of str to Path
+        Where it was before, by sequence.
+    is_every : bool
+        Whether all sequences were moved.
+
+    Returns
+    -------
+    list of MovedFolder
+    """
+    roots: set[MovedFolder | None] = set()
+    folders: list[MovedFolder] = []
+    for name, scan in scans.items():
+        place = places_before[name]
+        roots.add(_moved_data_set(place, scan))
+        folders.append(MovedFolder(before=place.parent, now=scan.path.parent))
+    root = roots.pop() if is_every and len(roots) == 1 else None
+    return [root] if root else folders
+
+
+def _moved_data_set(place: Path, scan: ScanFile) -> MovedFolder | None:
+    """Return the move of the data set of a scan from a place; None if its name in it changed."""
     before = data_set_of(replace(scan, path=place))
     now = data_set_of(scan)
-    if before and now and place.relative_to(before) == scan.path.relative_to(now):
-        move = MovedFolder(before=before, now=now)
-    if move not in moves:
-        moves.append(move)
+    if not before or not now or place.relative_to(before) != scan.path.relative_to(now):
+        return None
+    return MovedFolder(before=before, now=now)
