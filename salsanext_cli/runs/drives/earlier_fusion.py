@@ -3,6 +3,7 @@
 
 import os
 import shlex
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from salsanext_cli.io.files.reading import present
 from salsanext_cli.runs.drives.voting_places import OtherScan
 from salsanext_cli.runs.results.output_run import OutputRun
 from salsanext_cli.runs.results.query import DATASET_VARIABLE, ResultQuery
+from salsanext_cli.runs.scans.selection import data_set_of
 
 
 def other_drive(record: Path, single: OutputRun) -> OutputError:
@@ -53,21 +55,30 @@ def other_scans(
     -------
     OutputError
     """
-    problem = f"has results of {other.before}, which is still there, not of {other.now}"
+    problem = f"has results of {other.before}, which is still there, not of {other.scan.path}"
     hint = f"omit {argument('dataset')} and {DATASET_VARIABLE}, which are for scans that are gone"
-    fuse = _into_new_folder(out, target, query)
+    again = _into_new_folder(out, target, query)
     if folder == target:
-        hint = f"run {fuse}, with another folder for the fused labels"
+        hint = f"run {again}, with another folder for the fused labels"
     elif other.has_voted:
-        hint = f"give their data set with {argument('dataset')}, or vote again: run {fuse}"
+        hint = f"run {_with_votes(out, target, other)}, or {again} to compute the votes again"
     return OutputError(folder, problem, "the same scans", hint)
+
+
+def _with_votes(out: Path, target: Path, other: OtherScan) -> str:
+    """Return the command that fuses a sequence with the scans of its earlier votes."""
+    before = replace(other.scan, path=other.before)
+    data_set = data_set_of(before) or before.path.parent
+    settings = [setting("dataset", data_set), setting("sequences", before.sequence)]
+    words = shlex.join(["salsanext", "fuse", str(out), str(target)])
+    return f"`{command(words, *settings)}`"
 
 
 def _into_new_folder(out: Path, target: Path, query: ResultQuery) -> str:
     """Return the command that fuses the chosen sequences into a folder that is not there yet."""
     candidates = (Path(f"{os.path.normpath(target)}-{number}") for number in count(2))
     new = next(path for path in candidates if not present(path))
-    settings = []
+    settings: list[str] = []
     if query.dataset:
         settings.append(setting("dataset", query.dataset))
     if query.selection.sequences:

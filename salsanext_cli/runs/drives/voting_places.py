@@ -29,7 +29,7 @@ class OtherScan:
     """Scan that may be another one than that of earlier results, which is still there."""
 
     before: Path
-    now: Path
+    scan: ScanFile
     has_voted: bool  # Whether votes were computed with the earlier one after a move
 
 
@@ -91,7 +91,7 @@ def voting_places(
         if PlaceState.OTHER in states and state_of_votes not in AT_PLACE:
             has_voted = state is not PlaceState.OTHER
             before = voting_place if has_voted else recorded
-            places.other = OtherScan(before=before, now=scan.path, has_voted=has_voted)
+            places.other = OtherScan(before=before, scan=scan, has_voted=has_voted)
             return places
         if PlaceState.MOVED in states and name not in first_moved:
             first_moved[name] = scan

@@ -277,16 +277,39 @@ def test_scans_that_are_gone_have_a_hint_that_names_those_of_their_votes(
     assert f"took the scans from {mirrored / 'sequences/00/velodyne'}" in missing.stderr
 
 
-def test_votes_are_computed_again_by_the_command_of_the_hint(voted, mirrored):
+def typed(hint, number=0):
+    """Run a command that a hint names."""
+    called(*shlex.split(hint.split("`")[2 * number + 1])[1:])
+
+
+def test_the_commands_of_the_hint_take_the_scans_of_the_votes_or_vote_again(voted, mirrored):
+    overwrite = RunOptions(overwrite=True)
     with spelled(CommandLine()):
-        at_out = refused(OutputError, voted.out, fuse_results, voted.out).value.hint
-        caught = refused(OutputError, voted.out / "fused", fused_at, voted, None, overwrite=True)
-    assert "--dataset" in at_out
-    assert fused_at(voted, mirrored).skipped == 3, "also that works"
-    for hint in (at_out, caught.value.hint):
-        called(*shlex.split(hint.split("`")[1])[1:])
-    assert find_outputs(voted.out / "fused-2", "predictions")
+        hint = refused(OutputError, voted.out, fuse_results, voted.out).value.hint
+        caught = refused(
+            OutputError, voted.out / "fused", fuse_results, voted.out, options=overwrite
+        )
+    before = files_below(voted.out / "sequences")
+    typed(hint)
+    assert files_below(voted.out / "sequences") == before, "the votes stay"
+    typed(hint, 1)
+    assert len(find_outputs(voted.out / "fused-2", "predictions")) == 3
+    typed(caught.value.hint)
     assert fuse_results(voted.out, voted.out / "fused-2").skipped == 3
+
+
+def test_votes_of_one_sequence_at_another_place_have_commands_that_work(voted, tmp_path):
+    """The scans of the others are at the recorded place."""
+    mirror = shutil.copytree(voted.data, tmp_path / "mirror")
+    hidden = voted.data.rename(tmp_path / "unmounted")
+    query = ResultQuery(dataset=mirror, selection=ScanSelection(sequences=("08",)))
+    assert fuse_results(voted.out, query=query).done == 2
+    hidden.rename(voted.data)
+    with spelled(CommandLine()):
+        hint = refused(OutputError, voted.out, fuse_results, voted.out).value.hint
+    for number in (0, 1):
+        typed(hint, number)
+    assert len(find_outputs(voted.out / "fused-2", "predictions")) == 3
 
 
 def test_votes_of_a_sequence_are_replaced_at_another_place_only_together(voted, mirrored, tmp_path):
@@ -305,7 +328,7 @@ def test_votes_of_a_sequence_are_replaced_at_another_place_only_together(voted, 
             options=overwrite,
         )
     assert files_below(voted.out) == before
-    called(*shlex.split(caught.value.hint.split("`")[1])[1:])
+    typed(caught.value.hint, 1)
     moved = json.loads((voted.out / "fuse.json").read_bytes())["moved"]
     assert moved == {
         "00": str(mirrored / "sequences/00/velodyne"),
