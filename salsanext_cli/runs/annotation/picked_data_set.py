@@ -271,13 +271,16 @@ class PickedDataSet(OwnedFolder):
                     self.write_missing(folder / CALIBRATION, file.read())
 
     def is_complete(self, record: PickRecord) -> bool:
-        """Return whether all files exist that `restore_frames` does not write.
+        """Return whether all files exist that `restore_frames` does not write, and all frames.
 
-        Poses and calibration may be unknown.
+        Poses and calibration may be unknown. The frame of a scan is missing in the record of an
+        earlier version whose scan could not be read again.
         """
         files = self._certain_files(record)
         if record.frames is None:
             files += self._unrecorded_frames(record)
+        elif any(scan.name not in record.frames for scan in record.picked):
+            return False
         return all(map(filled, files))
 
     def refuse_lost_frames(self, scans: Iterable[ScanFile]) -> None:

@@ -2,7 +2,7 @@
 """Where scans that vote are, compared with where earlier votes were computed."""
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from salsanext_cli.runs.results.folder_names import DISAGREEMENT
@@ -98,7 +98,7 @@ def voting_places(
             places_before[name] = recorded if state is PlaceState.MOVED else voting_place
         places.are_recorded = places.are_recorded and recorded == scan.path
         is_new_place = name in moved_before or state not in AT_PLACE
-        if name in to_write and name not in folders_of_votes and is_new_place:
+        if name in to_write and name not in with_votes and is_new_place:
             places.moved[name] = str(scan.path.parent)
     places.moves = _moves(first_moved, places_before, is_every=len(first_moved) == len(sequences))
     return places
@@ -140,8 +140,11 @@ def _moves(
 
 def _moved_data_set(place: Path, scan: ScanFile) -> MovedFolder | None:
     """Return the move of the data set of a scan from a place; None if its name in it changed."""
-    before = data_set_of(replace(scan, path=place))
     now = data_set_of(scan)
-    if not before or not now or place.relative_to(before) != scan.path.relative_to(now):
+    if now is None:
         return None
-    return MovedFolder(before=before, now=now)
+    # The place cannot be asked for its data set, since it may be out of reach.
+    names = scan.path.relative_to(now).parts
+    if place.parts[-len(names) :] != names:
+        return None
+    return MovedFolder(before=place.parents[len(names) - 1], now=now)

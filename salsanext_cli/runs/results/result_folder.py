@@ -117,6 +117,8 @@ class ResultFolder:
             names = first_few(["/".join(name) for name in gone])
             text = "%s with results skipped, no such file: %s"
             log.warning(text, counted(len(gone), "scan"), names)
+        if not scans:
+            raise self._no_scans(sequences[0], sources.get(sequences[0]))
         return scans
 
     def _names_with_results(self, sequence: str | None) -> set[tuple[str, str]]:

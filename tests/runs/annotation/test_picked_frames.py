@@ -73,8 +73,9 @@ def test_damaged_frames_in_a_record_are_refused(picked):
     refused(OutputError, record, require_recorded_frames, picked, {"000000"}, {})
 
 
+@pytest.mark.parametrize("missing", [(FRAMES, "velodyne/000000.bin"), (FRAMES,)])
 def test_a_frame_that_could_not_be_read_once_is_recorded_by_the_next_run(
-    world, tmp_path, monkeypatch
+    missing, world, tmp_path, monkeypatch
 ):
     """As of a scan on a network disk, picked by a version that recorded no frames."""
     pytest.importorskip("laspy")
@@ -90,7 +91,7 @@ def test_a_frame_that_could_not_be_read_once_is_recorded_by_the_next_run(
     frames = content.pop("frames")
     assert frames == {"drive/000000": {"origin": list(FRAME), "is_beside": False}}
     record.write_text(json.dumps(content))
-    for name in (FRAMES, "velodyne/000000.bin"):  # As an interrupted run
+    for name in missing:  # As an interrupted run, or lost
         (world.out / "sequences/drive" / name).unlink()
     with monkeypatch.context() as patch:
 

@@ -133,6 +133,20 @@ def test_the_place_at_which_votes_were_computed_stays_recorded(voted, tmp_path):
     }
 
 
+def test_a_run_that_goes_on_with_moved_scans_keeps_the_first_place(voted, tmp_path):
+    """The first votes were computed where `predict` recorded the scans of the same drive."""
+    only = ResultQuery(selection=ScanSelection(sequences=("08",), limit=1))
+    assert fuse_results(voted.out, query=only).done == 1
+    hidden = voted.data.rename(tmp_path / "unmounted")
+    moved = shutil.copytree(hidden, tmp_path / "moved")
+    assert fuse_results(voted.out, query=ResultQuery(dataset=moved)).done == 2
+    record = json.loads((voted.out / "fuse.json").read_bytes())
+    assert record["moved"] == {"00": str(moved / "sequences/00/velodyne")}
+    hidden.rename(voted.data)
+    refused(OutputError, voted.out, fuse_results, voted.out, query=ResultQuery(dataset=moved))
+    assert fuse_results(voted.out, query=only).skipped == 1
+
+
 def test_scans_beside_the_recorded_ones_have_a_hint_that_works(voted, tmp_path):
     """As copies on a faster disk."""
     copy = shutil.copytree(voted.data, tmp_path / "copy")
@@ -208,6 +222,17 @@ def test_moved_folders_of_other_layouts_are_named_themselves(world, tmp_path):
     places = voting_places(world.out, [moved], [moved], overwrite=False)
     assert places.moves == [MovedFolder(before=scan.path.parent, now=moved.path.parent)]
     assert places.moved == {"drive": str(moved.path.parent)}
+
+
+def test_the_layout_of_a_place_that_cannot_be_reached_is_that_of_the_scan_now(world, tmp_path):
+    """As of PandaSet on a network disk, whose files show that it is PandaSet."""
+    old = tmp_path / "old"
+    old.symlink_to(old)  # The system refuses it, as without permission.
+    scan = ScanFile(sequence="drive", stem="1", path=old / "drive/lidar/1.pcd")
+    ask(world, [scan])
+    moved = replace(scan, path=tmp_path / "new/drive/lidar/1.pcd")
+    places = voting_places(world.out, [moved], [moved], overwrite=False)
+    assert places.moves == [MovedFolder(before=scan.path.parent, now=moved.path.parent)]
 
 
 def test_a_moved_sequence_of_a_data_set_is_named_itself(world, tmp_path):

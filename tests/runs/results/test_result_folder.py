@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan, refused, write_array, write_bin, write_sequence
+from scans import SMALL, make_scan, refused, replace_points, write_array, write_bin, write_sequence
 from world import begin_and_end
 
 from salsanext_cli import Scan, label_space
@@ -42,6 +42,16 @@ def test_scans_are_in_the_recorded_or_the_given_data_set(world):
         with refused(NoInputError, world.out / "sequences/00"):
             ResultFolder(world.out, dataset).scans()
     assert ResultFolder(world.out, moved).scans() == find_scans(moved)
+
+
+def test_scans_that_were_replaced_by_files_of_another_format_are_not_those_of_the_results(world):
+    ask(world, find_scans(world.data))
+    world.predict_by_hand()
+    for scan in find_scans(world.data):
+        replace_points(scan.path, make_scan().points)
+    folder = ResultFolder(world.out)
+    with refused(NoInputError, world.out / "sequences/00"):
+        folder.predicted(ScanSelection(split="valid"))
 
 
 def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path):
