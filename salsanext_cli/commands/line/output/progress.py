@@ -126,6 +126,7 @@ class ProgressLines:
     def __call__(self, done: int, total: int) -> None:
         """Print a line if one is due."""
         if not done:
+            self.first = None  # A run over scans begins, such as the second one of `pick`.
             return
         now = self.clock()
         if self.first is None:

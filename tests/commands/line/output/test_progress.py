@@ -46,3 +46,17 @@ def test_the_rate_is_that_of_scans_that_a_worker_reports_together(capsys):
         "predict: 5/40 scans, 5.0 s/scan, 2 min 55 s left",
         "predict: 13/40 scans, 5.0 s/scan, 2 min 15 s left",
     ]
+
+
+def test_the_rate_of_a_second_run_does_not_count_the_first(capsys):
+    """`pick` describes many scans, 1 s each, and then labels the few that it picked."""
+    now = 0.0
+    lines = ProgressLines("pick", "scans", clock=lambda: now)
+    for total, seconds in ((100, 1.0), (10, 12.0)):
+        lines(0, total)
+        for done in range(1, total + 1):
+            now += seconds
+            lines(done, total)
+    err = capsys.readouterr().err.splitlines()
+    assert err[0] == "pick: 30/100 scans, 1.0 scans/s, 70.0 s left"
+    assert err[-1] == "pick: 8/10 scans, 12.0 s/scan, 24.0 s left"
