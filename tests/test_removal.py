@@ -15,7 +15,7 @@ SECTION = PAGE.partition("## Remove a part")[2].partition("\n## ")[0]
 OUTSIDE = ("tests", "benchmarks", "examples", "docs")  # Folders that use the package
 NAMES_FUSE = re.compile(
     "^fuse$|--fuse|salsanext fuse|`fuse`|FUSED|FuseSettings|FusionReach|fused_of|read_fused"
-    "|DISAGREEMENT|^disagreement$"
+    "|DISAGREEMENT|^disagreement$|^label_drive$"
 )
 OTHER_MEANINGS = {
     "core/network/salsanext.py",  # Unit that joins three branches of the network
@@ -64,7 +64,7 @@ PARTS = {feature: (paths_in(deleted), paths_in(users)) for feature, deleted, use
 
 def test_the_table_has_parts():
     assert len(PARTS) == 4
-    assert len(rows(2)) == 8
+    assert len(rows(2)) == 9
 
 
 @pytest.mark.parametrize("part", PARTS)
