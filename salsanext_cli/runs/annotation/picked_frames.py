@@ -150,18 +150,18 @@ def require_recorded_frames(
     """
     sequence = folder.parent
     recorded = _recorded_frames(sequence.parent.parent)
-    due: dict[str, Origin] = {}
+    expected: dict[str, Origin] = {}
     for stem in sorted(stems):
         frame = recorded.get(f"{sequence.name}/{stem}")
         if frame is not None:
-            due[stem] = frame.origin
+            expected[stem] = frame.origin
     path = folder.with_name(FRAMES)
-    missing = [stem for stem in due if stem not in frames]
+    missing = [stem for stem in expected if stem not in frames]
     if missing:
         problem = f"has no frame of {first_few(missing)}, which `pick` moved out of a map"
         hint = f"run `pick` again with the same settings, or copy them from {PICK_RECORD}: {HINT}"
         raise FormatError(path, problem, "the frames of all picked scans", hint)
-    changed = [stem for stem in due if frames[stem] != due[stem]]
+    changed = [stem for stem in expected if frames[stem] != expected[stem]]
     if changed:
         text = f"{path}: frames of {first_few(changed)} differ from those in {PICK_RECORD}"
         warn_once(log, text)
